@@ -72,6 +72,14 @@ BESIDE = (
     ("scale", (Stroke(brush="scale", at=(195, 160), factor=2.5, radius=RADIUS),)),
 )
 COFFEE = np.hypot((np.arange(600) - 288) / 80, (np.arange(400)[:, None] - 145) / 49) < 1
+FIRST = Stroke.grab((110, 175), by=(40, -30), radius=45)
+SECOND = Stroke.grab((215, 150), by=(-42, 12), radius=45)
+HOLD = Stroke.freeze(supple.Freeze.of(FROZEN))
+AMONG = (
+    ("a grab", (FIRST,)),
+    ("the disc frozen, another", (FIRST, HOLD, SECOND)),
+    ("both, the disc frozen first", (HOLD, FIRST, SECOND)),
+)
 
 
 def titled(pixels: image.Array, text: str) -> pyvips.Image:
@@ -109,9 +117,11 @@ def under_a_matte(path: Path) -> None:
     joined.resize(0.7).webpsave(path, Q=72, effort=6, keep="none")
 
 
-def on_grids(path: Path, cases: Sequence[tuple[str, Sequence[Stroke]]], frozen: image.Array | None = None) -> None:
-    """Write what strokes make of a grid, side by side."""
-    freeze = None if frozen is None else supple.Freeze.of(frozen)
+def on_grids(
+    path: Path, cases: Sequence[tuple[str, Sequence[Stroke]]], frozen: image.Array | None = None, *, held: bool = True
+) -> None:
+    """Write what strokes make of a grid, side by side; what is frozen is tinted, and ``held`` from the beginning."""
+    freeze = supple.Freeze.of(frozen) if frozen is not None and held else None
     from matplotlib.collections import LineCollection
 
     made, panels = sheet(3.1 * len(cases), 3.35, 1, len(cases))
@@ -139,6 +149,7 @@ def main(folder: Path = IMAGES) -> None:
     on_grids(folder / "brush-hand.webp", BY_HAND)
     on_grids(folder / "brush-freeze.webp", BESIDE, FROZEN)
     under_a_matte(folder / "brush-matte.webp")
+    on_grids(folder / "brush-freeze-among.webp", AMONG, FROZEN, held=False)
 
 
 if __name__ == "__main__":

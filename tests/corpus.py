@@ -179,7 +179,7 @@ ERRORS: dict[str, tuple[str, ...]] = {
     "two numbers": ("warp", "in.jpg", "out.png", "--grab", "1,2:3", "--radius", "9"),
     "radius 0": ("warp", "in.jpg", "out.png", "--grab", "1,2:3,4", "--radius", "0"),
     "poisson": ("warp", "in.jpg", "out.png", *DRAG, "--poisson", "0.6"),
-    "freeze": ("warp", "in.jpg", "out.png", *DRAG, "--freeze", "mask.png"),
+    "freeze": ("warp", "in.jpg", "out.png", "--freeze", "mask.png", *DRAG),
     "render": ("render", "in.jpg", "out.png"),
     "plot": ("plot", "in.jpg", "out.png", *DRAG, "--what", "nothing"),
     "points": ("points", "points.csv", "moved.csv", *DRAG),

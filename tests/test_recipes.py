@@ -160,7 +160,7 @@ class TestJson:
     def test_unknown_brushes(self) -> None:
         entry = '{"brush": "twirl", "at": [1, 2], "radius": 5, "angle": 4}'
         assert read_refusal(with_stroke(entry)) == (
-            'strokes[1]: brush must be "grab" or "twist" or "scale" or "pinch", found \'twirl\''
+            'strokes[1]: brush must be "grab" or "twist" or "scale" or "pinch" or "freeze", found \'twirl\''
         )
 
     def test_missing_keys(self) -> None:
@@ -304,7 +304,7 @@ class TestVersion2:
 
     @pytest.mark.parametrize(
         ("name", "value"),
-        [*[("strength", v) for v in ("1.01", "-0.1", "true", "null", '"1"')],
+        [*[("strength", v) for v in ("2.01", "-1.1", "true", "null", '"1"')],
          *[("name", v) for v in ("1", "true", "[]")]],
     )  # fmt: skip
     def test_wrong_values_of_strokes(self, name: str, value: str) -> None:
@@ -313,8 +313,8 @@ class TestVersion2:
     @pytest.mark.parametrize(
         ("name", "value", "message"),
         [
-            ("amount", "1.5", "amount must be a number from 0 to 1, found 1.5"),
-            ("amount", "true", "amount must be a number from 0 to 1, found True"),
+            ("amount", "2.5", "amount must be a number from -1 (the opposite) to 2, found 2.5"),
+            ("amount", "true", "amount must be a number from -1 (the opposite) to 2, found True"),
             ("space", '"mm"', 'space must be "pixels" or "LPS" or "RAS", found '),
             ("space", '"RAS"', 'space must be "pixels" where points have 2 numbers, found '),
             ("size", "[640]", "size must be 2 numbers of samples, x first, found [640]"),

@@ -158,7 +158,7 @@ class TestStroke:
 
     @pytest.mark.parametrize("bad", ["bend", "", "Grab", None, 1, ["grab"]])
     def test_refuses_brushes(self, bad: Any) -> None:
-        wanted = 'brush must be "grab" or "twist" or "scale" or "pinch", found '
+        wanted = 'brush must be "grab" or "twist" or "scale" or "pinch" or "freeze", found '
         assert refusal(lambda: grab(brush=bad)).startswith(wanted)
 
 

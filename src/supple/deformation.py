@@ -18,10 +18,10 @@ from supple.engine import core
 from supple.engine.core import measured, plan_of
 from supple.engine.devices import is_on_device
 from supple.engine.sampling import DEFAULT, Certificate, Sampling, SamplingFields, warn_of
-from supple.engine.work import Mattes, Space, mask_of
+from supple.engine.work import Mattes, Space, mask_of, shown_mask
 from supple.errors import FoldWarning, MissWarning, OutsideWarning, SuppleError, argument, caller, numbered, shown
 from supple.fields import Field, Placed, check_path, folds_of
-from supple.folding.limits import NEAR, resolve
+from supple.folding.limits import NEAR, farthest
 from supple.folding.resolved import FREE_ENOUGH, Resolved, apart, described, freedom_at, padded
 from supple.space.affine import Affine, matrix_rows
 from supple.space.checks import choice, colours_hint, flag, integer, length, number, point, refuse
@@ -29,7 +29,19 @@ from supple.space.domain import BorderProfile, Domain
 from supple.space.freezing import Freeze
 from supple.space.geometry import Grid
 from supple.space.straighten import Straighten
-from supple.strokes import PAINTINGS, REACH, FoldPolicy, Point, Recipe, Stroke, spoken, time_radius_of
+from supple.strokes import (
+    LEAST,
+    MOST,
+    PAINTINGS,
+    REACH,
+    FoldPolicy,
+    Point,
+    Recipe,
+    Stroke,
+    pack,
+    spoken,
+    time_radius_of,
+)
 
 _HIT = 1e-6  # samples: a point of a pull that is as near as this has arrived
 _APART = 0.3  # radii between the points by which a way is restored or smoothed, at least
@@ -186,7 +198,7 @@ class Deformation:
     The brushes (`grab`, `pull`, `twist`, `scale`, `pinch`) share these parameters: ``at``, their point, in pixels, x
     first (the pivot of a twist, a scale or a pinch stays where it is); ``radius``, that of the brush, in physical units
     (ε of the regularized Kelvinlet); ``reach``, in radii, from 1, beyond which samples keep every bit (the default of 4
-    looks as natural as no limit, None); ``strength``, the applied part of the movement, from 0 to 1; and ``poisson``,
+    looks as natural as no limit, None); ``strength``, the applied part of the movement, from -1 to 2; and ``poisson``,
     the Poisson ratio ν of the material, at most 0.5 (incompressible; 0.4 by default; and -inf, by default for a drag
     along time alone, has no displacement across the drag).
 
@@ -628,7 +640,7 @@ class Deformation:
         if self.domain.time:
             held[2] = 0.0
         moves = np.all((points > first + held) & (points < last - held), axis=1)
-        moves &= freedom_at(padded(points, self.domain), self.domain) > FREE_ENOUGH
+        moves &= freedom_at(padded(points, self.domain), self._frozen) > FREE_ENOUGH
         points, part = points[moves], part[moves]
         if not len(points):
             refuse("at", "a point within the domain that is not frozen", at)
@@ -727,14 +739,33 @@ class Deformation:
         known: dict[str, Any] = {"poisson": poisson, "reach": reach, "time_radius": time_radius, "strength": strength}
         return self.add(Stroke.pinch(at, factor=factor, axis=axis, radius=radius, **known))
 
+    def freeze(self, mask: npt.ArrayLike | Freeze | None) -> Self:
+        """Return the deformation with a freeze after the strokes so far: later ones move nothing where it is frozen.
+
+        There, T⁻¹ is that of the strokes so far, bit for bit, whatever follows. The mask takes the place of the one
+        before it, and that of the deformation (``freeze=``) holds from the first stroke on. Where it lies is meant in
+        the picture as it is now, after the strokes so far.
+
+        Parameters
+        ----------
+        mask : array or Freeze or None
+            As `Deformation` takes it; None to freeze nothing from here on.
+        """
+        if mask is None:
+            n = 2 if self.domain.time else self.ndim
+            mask = Freeze.free(self.shape[-n:], self.domain.spacing[:n])
+        freeze = mask if isinstance(mask, Freeze) else _freeze_of(mask, self.domain)
+        at = (*freeze.middle, 0.0)[: self.ndim]
+        return self.add(Stroke.freeze(freeze, at=at))
+
     def add(self, stroke: Stroke, *, warn: bool = True) -> Self:
         """Return the deformation with one more stroke, applied to the result of the strokes so far.
 
         Parameters
         ----------
         stroke : Stroke
-            A hidden one is not added, and this deformation itself is returned. Of one with a strength below 1, that
-            fraction of the drag is applied and recorded.
+            A hidden one is not added, and this deformation itself is returned. Of one with a strength other than 1,
+            that fraction of the drag is applied and recorded; beyond 1, or below 0, as much of it as is possible.
         warn : bool
             Whether to warn if it starts outside the samples or misses its target, and to refuse it if it reaches no
             sample; `warnings` has the text of a miss too. Errors and warnings are those of all brushes.
@@ -758,12 +789,24 @@ class Deformation:
             raise SuppleError(f"{argument('time_radius')} is for clips, and this is {self._kind}: leave it out")
         stroke = reduced(stroke, 1.0, self, self)
         domain, freeze = self._masked(stroke), self._space.freeze
-        resolved = resolve(stroke, domain, self.on_fold)
-        if stroke.matte is not None:
-            freeze, number = Mattes.adding(freeze, mask_of(domain))
-            table = resolved.rows.copy()
-            table["mask"] = number
-            resolved = replace(resolved, rows=table)
+        mask, row = None if domain is self.domain else mask_of(domain), len(self._space.rows)
+        if stroke.brush == "freeze":
+            if domain.freeze and domain.freeze.place:
+                _check_place(domain.freeze, self.grid)
+            resolved = Resolved(pack([], domain.spacing), stroke.at)  # the next stroke is the first that it concerns
+        else:
+            if self.strokes and self.strokes[-1].brush == "freeze":
+                held = mask_of(self._frozen)
+                if row == 0:
+                    freeze = held
+                elif held is not freeze:
+                    freeze, _ = Mattes.adding(freeze, held, row)
+            stroke, resolved = farthest(stroke, domain, self.on_fold)
+            if domain is not self.domain and mask is not shown_mask(freeze):
+                freeze, number = Mattes.adding(freeze, mask)
+                table = resolved.rows.copy()
+                table["mask"] = number
+                resolved = replace(resolved, rows=table)
         rows = np.concatenate([self._space.rows, numbers(resolved.rows)])
         space = replace(self._space, rows=rows, freeze=freeze)
         made = self._changed(
@@ -779,8 +822,10 @@ class Deformation:
         return made
 
     def _masked(self, stroke: Stroke) -> Domain:
-        """Return the domain with the mask that a stroke is subject to: its matte, times the freeze mask."""
-        domain, matte = self.domain, stroke.matte
+        """Return the domain with the mask of a freeze, or that of a stroke: its matte, times the freeze mask."""
+        domain, matte = self._frozen, stroke.matte
+        if stroke.brush == "freeze":
+            return domain.frozen(matte)
         if matte is None:
             return domain
         sizes = domain.shape[::-1]
@@ -790,8 +835,13 @@ class Deformation:
             raise SuppleError(
                 f"{name} is of {held} samples, and what is deformed of {wanted}: give a matte of its size"
             )
-        own = matte if domain.freeze is None else matte.times(domain.freeze)
-        return Domain(domain.shape, domain.spacing, domain.border, domain.border_profile, domain.time, own)
+        return domain.frozen(matte if mask_of(domain) is None or domain.freeze is None else matte.times(domain.freeze))
+
+    @property
+    def _frozen(self) -> Domain:
+        """The domain with the freeze mask that the next stroke is subject to."""
+        last = next((stroke.matte for stroke in reversed(self.strokes) if stroke.brush == "freeze"), None)
+        return self.domain if last is None else self.domain.frozen(last)
 
     def _after(self, stroke: Stroke, resolved: Resolved, space: Space) -> dict[str, npt.NDArray[Any]]:
         """Return the points of all strokes, and what carries them, after one more."""
@@ -1249,14 +1299,16 @@ def reduced(stroke: Stroke, amount: float, whole: Deformation, now: Deformation)
 
     ``whole`` and ``now`` are the strokes before it, at full strength and as applied: the same object if equal.
     """
-    part = amount * stroke.strength
-    if part == 1 and whole is now:
+    part = min(max(amount * stroke.strength, LEAST), MOST)
+    if (part == 1 and whole is now) or stroke.brush == "freeze":
         return stroke
     at = stroke.at if whole is now else tuple(now.forward(whole.inverse(stroke.at).points).tolist())
     domain, time_radius = now.domain, stroke.time_radius
     if part != 1 and domain.time and not stroke.isotropic:  # which depends on the drag
         time_radius = time_radius_of(stroke, domain.shape[0], domain.spacing[2])
-    return replace(stroke.weakened(part), at=at, time_radius=time_radius)
+    if 0 <= part <= 1:
+        return replace(stroke.weakened(part), at=at, time_radius=time_radius)
+    return replace(stroke.weakened(1.0), at=at, time_radius=time_radius, strength=part)
 
 
 def after(stroke: Stroke, amount: float, whole: Deformation, before: Deformation, now: Deformation) -> Deformation:
@@ -1270,7 +1322,7 @@ def last_outside(made: Deformation) -> str | None:
     """Return the warning if the last stroke starts outside the samples; SuppleError if it reaches none of them."""
     stroke, rows, domain = made.strokes[-1], made._resolved[-1].rows, made.domain
     sizes = np.array(made.shape[::-1])
-    if np.all((np.array(stroke.at) >= -0.5) & (np.array(stroke.at) <= sizes - 0.5)):
+    if stroke.brush == "freeze" or np.all((np.array(stroke.at) >= -0.5) & (np.array(stroke.at) <= sizes - 0.5)):
         return None
     if made.ndim == 2:
         extent = f"the picture, which has {sizes[0]} x {sizes[1]} pixels"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import warnings
 from dataclasses import replace
 from pathlib import Path
 
@@ -24,7 +25,7 @@ def disc(height: int = 40, width: int = 48) -> npt.NDArray[np.bool_]:
 
 def test_frozen_pixels_stay(run: Run) -> None:
     image.write("mask.png", np.where(disc(), 255, 0).astype(np.uint8))
-    status, _, err = run("warp", "in.png", "out.png", *GRAB, "--freeze", "mask.png", "--save-recipe", "r.json")
+    status, _, err = run("warp", "in.png", "out.png", "--freeze", "mask.png", *GRAB, "--save-recipe", "r.json")
     assert status == 0, err
     source, out = (image.read(name).pixels for name in ("in.png", "out.png"))
     assert (out[disc()] == source[disc()]).all()
@@ -48,39 +49,39 @@ def test_what_a_picture_may_be(run: Run) -> None:
     }
     for name, pixels in made.items():
         image.write(name, pixels)
-        assert run("warp", "in.png", "out.png", *GRAB, "--freeze", name, "--save-recipe", "r.json", "--force")[0] == 0
+        assert run("warp", "in.png", "out.png", "--freeze", name, *GRAB, "--save-recipe", "r.json", "--force")[0] == 0
         assert Recipe.from_json(Path("r.json").read_text()).freeze == wanted
     labels = np.where(disc(), 7, 2).astype(np.uint8)
     labels[:4] = 5
     image.write("labels.png", labels)
-    command = ("warp", "in.png", "out.png", *GRAB, "--save-recipe", "r.json", "--force", "--freeze")
-    assert run(*command, "labels.png:7")[0] == 0
+    command = ("warp", "in.png", "out.png", "--save-recipe", "r.json", "--force", "--freeze")
+    assert run(*command, "labels.png:7", *GRAB)[0] == 0
     assert Recipe.from_json(Path("r.json").read_text()).freeze == wanted
-    assert run(*command, "labels.png:7", "--freeze-width", "12")[0] == 0
+    assert run(*command, "labels.png:7", *GRAB, "--freeze-width", "12")[0] == 0
     assert Recipe.from_json(Path("r.json").read_text()).freeze == Freeze.of(disc(), width=12)
 
 
 def test_a_mask_that_freezes_nothing_is_told(run: Run) -> None:
     image.write("black.png", np.zeros((40, 48), np.uint8))
-    status, out, err = run("warp", "in.png", "out.png", *GRAB, "--freeze", "black.png", "--json")
+    status, out, err = run("warp", "in.png", "out.png", "--freeze", "black.png", *GRAB, "--json")
     assert status == 0
     said = "nothing is frozen in black.png: all of it is black, and white is frozen"
     assert one_line(err) == f"supple: warning: {said}\n"
     assert json.loads(out)["warnings"] == [said]
     samples = np.zeros((5, 6, 7), np.uint8)
     volume.write("empty.nii", samples, volume.Volume(samples, PLACE))
-    command = ("warp", "empty.nii", "out.nii", "--grab", "3,3,2:3,4,2", "--radius", "6", "--freeze", "empty.nii")
+    command = ("warp", "empty.nii", "out.nii", "--freeze", "empty.nii", "--grab", "3,3,2:3,4,2", "--radius", "6")
     assert "nothing is frozen in empty.nii: all of it is 0, and all but 0 is frozen" in run(*command)[2]
 
 
 def test_a_drag_of_what_is_frozen_is_told(run: Run) -> None:
     image.write("mask.png", np.where(disc(), 255, 0).astype(np.uint8))
-    command = ("warp", "in.png", "out.png", "--grab", "32,20:40,20", "--radius", "9", "--freeze", "mask.png")
+    command = ("warp", "in.png", "out.png", "--freeze", "mask.png", "--grab", "32,20:40,20", "--radius", "9")
     status, out, err = run(*command, "--json")
     assert status == 0
     assert "ends 8 pixels short: what is frozen holds it back" in err
     assert json.loads(out)["arrivals"][0]["cause"] == "freeze"
-    command = ("warp", "in.png", "out.png", "--grab", "32,20:32.8,20", "--radius", "12", "--freeze", "mask.png")
+    command = ("warp", "in.png", "out.png", "--freeze", "mask.png", "--grab", "32,20:32.8,20", "--radius", "12")
     status, _, err = run(*command, "--on-fold", "error", "--force")
     assert status != 0
     assert "what is frozen holds it back" in one_line(err)
@@ -106,13 +107,13 @@ def test_a_mask_of_the_large_picture_is_not_scaled_with_the_recipe(run: Run) -> 
     image.write("large.png", large)
     image.write("mask.png", np.where(mask, 255, 0).astype(np.uint8))
     image.write("other.png", np.where(mask[:70], 255, 0).astype(np.uint8))
-    command = ("warp", "large.png", "out.png", "--recipe", "r.json", "--force")
+    command, rest = ("warp", "large.png", "out.png"), ("--recipe", "r.json", "--force")
     for fit in ((), ("--fit", "stretch"), ("--fit", "inside"), ("--fit", "pixels")):
-        assert run(*command, *fit, "--freeze", "mask.png")[0] == 0
+        assert run(*command, "--freeze", "mask.png", *rest, *fit)[0] == 0
         out = image.read("out.png").pixels
         assert (out[mask] == large[mask]).all()
         assert (out != large).any()
-        status, _, err = run(*command, *fit, "--freeze", "other.png")
+        status, _, err = run(*command, "--freeze", "other.png", *rest, *fit)
         assert status != 0
         assert "the freeze mask other.png is of 96 x 70 samples" in err
 
@@ -134,16 +135,17 @@ def labelled(run: Run) -> tuple[npt.NDArray[np.uint8], npt.NDArray[np.uint8]]:
 
 def test_a_label_of_a_volume(run: Run) -> None:
     samples, labels = labelled(run)
-    command = ("warp", "ct.nii", "out.nii", "--grab", "14,12,8:18,12,9", "--radius", "6", "--force", "--freeze")
-    status, _, err = run(*command, "labels.nii:3")
+    grab = ("--grab", "14,12,8:18,12,9", "--radius", "6")
+    command = ("warp", "ct.nii", "out.nii", "--force", "--freeze")
+    status, _, err = run(*command, "labels.nii:3", *grab)
     assert status == 0, err
     out = volume.read("out.nii").samples
     assert (out[labels == 3] == samples[labels == 3]).all()
     assert (out[labels == 0] != samples[labels == 0]).any()
-    status, _, err = run(*command, "labels.nii")  # all but 0
+    status, _, err = run(*command, "labels.nii", *grab)  # all but 0
     assert status == 0, err
     assert (volume.read("out.nii").samples[labels > 0] == samples[labels > 0]).all()
-    status, _, err = run(*command, "elsewhere.nii:3")
+    status, _, err = run(*command, "elsewhere.nii:3", *grab)
     assert status != 0
     assert "the freeze mask elsewhere.nii lies elsewhere in space: its corners are up to 4 voxels" in one_line(err)
 
@@ -151,8 +153,8 @@ def test_a_label_of_a_volume(run: Run) -> None:
 def test_in_millimetres(run: Run) -> None:
     """A recipe in space has the mask in voxels."""
     samples, labels = labelled(run)
-    command = ("warp", "ct.nii", "out.nii", "--world", "--grab", "-9,19,19:-5,19,21", "--radius", "6")
-    status, _, err = run(*command, "--freeze", "labels.nii:3", "--save-recipe", "r.json")
+    command = ("warp", "ct.nii", "out.nii", "--world", "--freeze", "labels.nii:3", "--grab", "-9,19,19:-5,19,21")
+    status, _, err = run(*command, "--radius", "6", "--save-recipe", "r.json")
     assert status == 0, err
     out = volume.read("out.nii").samples
     assert (out[labels == 3] == samples[labels == 3]).all()
@@ -163,7 +165,7 @@ def test_in_millimetres(run: Run) -> None:
 def test_a_store_has_the_same(run: Run) -> None:
     zarr = pytest.importorskip("zarr")
     samples, labels = labelled(run)
-    grab = ("--grab", "14,12,8:18,12,9", "--radius", "6", "--freeze", "labels.nii:3")
+    grab = ("--freeze", "labels.nii:3", "--grab", "14,12,8:18,12,9", "--radius", "6")
     assert run("warp", "ct.nii", "out.nii", *grab)[0] == 0
     status, _, err = run("warp", "ct.nii", "out.zarr", *grab)
     assert status == 0, err
@@ -180,3 +182,65 @@ def test_recipes_keep_masks_and_refuse_damaged_ones() -> None:
             Recipe.from_json(json.dumps({**data, "freeze": wrong}))
     with pytest.raises(SuppleError, match="freeze must be a Freeze"):
         replace(recipe, freeze=disc())  # type: ignore[arg-type]
+
+
+def test_a_freeze_stands_where_it_is_given(run: Run) -> None:
+    image.write("mask.png", np.where(disc(), 255, 0).astype(np.uint8))
+    before, after = ("--grab", "28,16:33,18"), ("--grab", "36,26:31,22")
+    rest = ("--radius", "9", "--force", "--save-recipe", "r.json")
+    freeze = ("--freeze", "mask.png")
+    status, _, err = run("warp", "in.png", "state.png", *before, *rest)
+    assert status == 0, err
+    status, out, err = run("warp", "in.png", "out.png", *before, *freeze, *after, *rest, "--json")
+    assert status == 0, err
+    state, made, source = (image.read(name).pixels for name in ("state.png", "out.png", "in.png"))
+    np.testing.assert_array_equal(made[disc()], state[disc()])
+    assert (state[disc()] != source[disc()]).any()
+    assert (made != state).any()
+    d = Deformation((40, 48)).grab((28, 16), to=(33, 18), radius=9).freeze(disc())
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        d = d.grab((36, 26), to=(31, 22), radius=9)
+    np.testing.assert_array_equal(made, d.warp(source))
+    recipe = Recipe.from_json(Path("r.json").read_text())
+    assert recipe.strokes == d.strokes
+    assert json.loads(out)["strokes"] == 3
+    assert "stroke 2    freeze (32, 20), 10% of 48 x 40" in run("info", "r.json")[1]
+    # After a recipe, and before a map that stands between strokes.
+    Path("first.json").write_text(Deformation((40, 48)).grab((28, 16), to=(33, 18), radius=9).recipe.to_json())
+    assert run("warp", "in.png", "again.png", "--recipe", "first.json", *freeze, *after, *rest)[0] == 0
+    np.testing.assert_array_equal(image.read("again.png").pixels, made)
+    assert run("warp", "in.png", "beside.png", *freeze, "--recipe", "first.json", *after, *rest)[0] == 0
+    assert Recipe.from_json(Path("r.json").read_text()).freeze == Freeze.of(disc())
+    assert (image.read("beside.png").pixels[disc()] == source[disc()]).all()
+    shift = ("--affine", "1,0,2,0,1,1")
+    status, _, err = run("warp", "in.png", "out.png", *before, *freeze, *shift, *after, "--radius", "9", "--force")
+    assert status == 0, err
+    one = Deformation((40, 48)).grab((28, 16), to=(33, 18), radius=9).freeze(disc()).affine([[1, 0, 2], [0, 1, 1]])
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        one = one.grab((36, 26), to=(31, 22), radius=9)
+    np.testing.assert_array_equal(image.read("out.png").pixels, one.warp(source))
+    # Thawed, all moves again.
+    status, _, err = run("warp", "in.png", "out.png", *freeze, *before, "--freeze", "none", *after, *rest)
+    assert status == 0, err
+    kinds = [stroke.brush for stroke in Recipe.from_json(Path("r.json").read_text()).strokes]
+    assert kinds == ["grab", "freeze", "grab"]
+    assert (image.read("out.png").pixels[disc()] != source[disc()]).any()
+
+
+@pytest.mark.parametrize(("option", "text", "x"), [("--amount", "150%", 35.5), ("--strength", "-1", 23.0)])
+def test_more_than_all_and_the_opposite(run: Run, option: str, text: str, x: float) -> None:
+    command = ("warp", "in.png", "out.png", "--grab", "28,16:33,18", "--radius", "9", "--json", option, text)
+    status, out, err = run(*command, "--save-recipe", "r.json")
+    assert status == 0, err
+    assert json.loads(out)["arrivals"][0]["arrived"][0] == pytest.approx(x)
+    recipe = Recipe.from_json(Path("r.json").read_text())
+    part = recipe.amount if option == "--amount" else recipe.strokes[0].strength
+    assert (part, recipe.strokes[0].by) == (1.5 if option == "--amount" else -1.0, (5, 2))
+
+
+def test_each_stroke_has_its_strength(run: Run) -> None:
+    two = ("--grab", "28,16:33,18", "--grab", "10,30:12,30", "--radius", "5", "--strength", "50%", "--strength=200%")
+    assert run("warp", "in.png", "out.png", *two, "--save-recipe", "r.json")[0] == 0
+    assert [stroke.strength for stroke in Recipe.from_json(Path("r.json").read_text()).strokes] == [0.5, 2.0]

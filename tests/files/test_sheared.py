@@ -319,7 +319,7 @@ def test_what_needs_right_angles_says_how_to_get_them(here: Path, run: Run) -> N
     for arguments in (
         ("render", "in.nii", "out.png"),
         ("warp", "in.nii", "out.zarr", *grab),
-        ("warp", "in.nii", "out.nii", *grab, "--freeze", "in.nii"),
+        ("warp", "in.nii", "out.nii", "--freeze", "in.nii", *grab),
         ("invert", "field.nii", "out.nii", "--reference", "in.nii"),
     ):
         status, out, err = run(*arguments)
@@ -346,7 +346,7 @@ def test_what_needs_right_angles_says_how_to_get_them(here: Path, run: Run) -> N
     written(here / "mask.nii", (np.arange(22) < 11)[:, None, None] * np.ones(SIZES, np.uint8), affine)
     steps = only[only.index("--resample") :].split()[1]
     assert run("warp", "mask.nii", "up-mask.nii", "--resample", steps, "--labels")[0] == 0
-    assert run("warp", "in.nii", "out.nii", *grab, "--freeze", "up-mask.nii")[0] == 0
+    assert run("warp", "in.nii", "out.nii", "--freeze", "up-mask.nii", *grab)[0] == 0
     moved = np.abs(nibabel.load("out.nii").get_fdata() - nibabel.load("in.nii").get_fdata()).max(axis=(1, 2))
     assert moved[:9].max() == 0
     assert moved[14] > 1

@@ -3,25 +3,28 @@
 from __future__ import annotations
 
 import itertools
+import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+from supple.deformation import Deformation
 from supple.errors import SuppleError
 from supple.gpu.device import Gpu
 from supple.media import image as images
 from supple.space.freezing import Freeze
 from supple.strokes import Recipe, Stroke
-from supple.viewer.document.words import described, frozen, step
+from supple.viewer.document.words import described, frozen, listed, step
 from supple.viewer.panels.overlay import status
 from supple.viewer.tools.gestures import Tools
 from tests.viewer.sessions import recipe_in, warped
 from tests.viewer.test_tools_slices import bench, middle
 from tests.viewer.test_window_brushes import both
 from tests.viewer.tools import arrived, clip, down, drag, image, move, press, up, wheel
-from tests.viewer.windows import Hand, opened
+from tests.viewer.windows import Hand, opened, watch
 
 pytest.importorskip("rendercanvas")
 pytest.importorskip("imgui_bundle")
@@ -33,7 +36,7 @@ def state(tools: Tools[Any]) -> tuple[object, bytes]:
 
 def mask(tools: Tools[Any]) -> np.ndarray:
     """m at all samples."""
-    found = tools.document.state.rest.freeze
+    found = tools.document.frozen
     assert found is not None
     return found.shown(tools.document.shape[-found.ndim :])
 
@@ -99,9 +102,26 @@ class TestPictures:
         assert state(tools) == after
         rng = np.random.default_rng(1)
         source = rng.integers(0, 256, (200, 300, 3), dtype=np.uint8)
-        made, frozen = tools.document.deformation.warp(source), mask(tools) == 0
-        np.testing.assert_array_equal(made[frozen], source[frozen])
-        assert (made != source).any()
+        # It stays as it is now, whatever follows; and painting on changes the same item of the list.
+        press(tools, "g")
+        drag(tools, (321, 181), (331, 131))
+        made, held = tools.document.deformation.warp(source), mask(tools) == 0
+        np.testing.assert_array_equal(made[held], bent.warp(source)[held])
+        assert (made[held] != source[held]).any()
+        assert (made != bent.warp(source)).any()
+        assert [stroke.brush for stroke in tools.document.strokes] == ["grab", "freeze", "grab"]
+        assert listed(tools.document.strokes[1]) == f"Freeze: {frozen(tools.document.freeze)}"
+        press(tools, "c")
+        drag(tools, (101, 121), (121, 121))
+        drag(tools, (101, 131), (121, 131))
+        assert [stroke.brush for stroke in tools.document.strokes] == ["grab", "freeze", "grab", "freeze"]
+        assert names(tools) == ["Freeze", "Grab at (160, 90)", "Freeze", "Freeze"]
+        tools.document.hide(1)
+        free = tools.document.deformation.warp(source)
+        assert (free[held] != made[held]).any()
+        tools.document.hide(3)
+        assert tools.mask is None
+        assert tools.document.recipe == Recipe.from_json(tools.document.recipe.to_json())
 
     def test_a_click_freezes_and_thawing_brings_all_back(self) -> None:
         tools = image(Stroke.grab((100, 50), by=(20, 5), radius=30))
@@ -185,11 +205,12 @@ class TestPictures:
         assert "30 short: what is frozen holds it back" in described(document.strokes[0], document.arrival(0))
 
     def test_what_is_frozen_lets_go_of_one_of_several_points(self) -> None:
-        tools = image(Stroke(at=(100, 50), by=(20, 0), radius=20, also=(((200, 100), (0, 10)),)), on_fold="flow")
+        tools = image(on_fold="flow")
         document = tools.document
         press(tools, "c")
         drag(tools, (201, 101), (203, 101))
         assert tools.status is None
+        document.add(Stroke(at=(100, 50), by=(20, 0), radius=20, also=(((200, 100), (0, 10)),)))
         assert arrived(tools, 0) == (100, 50)
         assert "(100, 50), is let go" in (document.deformation.warnings[0] or "")
         np.testing.assert_allclose(document.deformation.forward((200, 100)), (200, 110), atol=1e-6)
@@ -226,13 +247,18 @@ def test_a_clip_is_frozen_in_all_frames() -> None:
     up(tools, 221, 101)
     assert mask(tools).shape == tools.document.shape[1:]
     points = np.array([(x, 50.0, t) for x in (100, 105, 110) for t in range(0, 20, 5)])
-    np.testing.assert_array_equal(tools.document.deformation.forward(points), points)
-    assert recipe_round(tools) == tools.document.state.rest.freeze
+    before = tools.document.deformation
+    tools.document.add(Stroke.grab((130, 50, 10), by=(-20, 5, 2), radius=30))
+    after = tools.document.deformation
+    np.testing.assert_array_equal(after.inverse(points).points, before.inverse(points).points)
+    assert np.abs(after.inverse((130, 50, 10)).points - before.inverse((130, 50, 10)).points).max() > 1
+    assert recipe_round(tools) == tools.document.frozen
 
 
 def recipe_round(tools: Tools[Any]) -> Freeze | None:
     """The freeze mask after the recipe was saved and read."""
-    return Recipe.from_json(tools.document.recipe.to_json()).freeze
+    read = Recipe.from_json(tools.document.recipe.to_json())
+    return next((stroke.matte for stroke in read.strokes if stroke.brush == "freeze"), read.freeze)
 
 
 def test_a_ball_of_a_volume_is_frozen_in_a_plane() -> None:
@@ -247,7 +273,7 @@ def test_a_ball_of_a_volume_is_frozen_in_a_plane() -> None:
     assert (mask(tools)[ball] == 0).all()
     assert ball.any(axis=(1, 2)).sum() > 1
     assert mask(tools).max() == 1
-    assert recipe_round(tools) == tools.document.state.rest.freeze
+    assert recipe_round(tools) == tools.document.frozen
 
 
 def red(seen: np.ndarray, at: tuple[int, int]) -> bool:
@@ -301,10 +327,22 @@ def test_a_photograph_is_frozen_by_hand(gpu: Gpu, grey_photo: Path) -> None:
     bent, wanted = both(view, grey_photo, "wanted.png")
     made, source = images.read(bent).pixels, images.read(grey_photo).pixels
     np.testing.assert_array_equal(made, images.read(wanted).pixels)
-    frozen = view.recipe.freeze.shown(made.shape[:2]) == 0
+    frozen = view.document.freeze.shown(made.shape[:2]) == 0
     assert frozen.sum() > 2000
-    np.testing.assert_array_equal(made[frozen], source[frozen])
-    assert (made != source).any()
+    state = Deformation.from_recipe(replace(view.recipe, strokes=view.recipe.strokes[:1]), made.shape[:2])
+    np.testing.assert_array_equal(made[frozen], state.warp(source)[frozen])
+    assert [stroke.brush for stroke in view.recipe.strokes] == ["grab", "freeze"]
+    # Then a stroke across its edge.
+    view.overlay = ""
+    hand.key("g")
+    view.tools.radius = 50
+    hand.drag((330, 280), (300, 250))
+    hand.move(20, 20)
+    screen(hand)
+    made = view.document.deformation.warp(source)
+    np.testing.assert_array_equal(made[frozen], state.warp(source)[frozen])
+    assert (made != state.warp(source)).any()
+    assert view._gui.trouble == view.stage.trouble == ""
     # What is on screen is what is exported.
     view.overlay = ""
     left, top = (round(v) for v in view.tools.view.to_canvas(0, 0))
@@ -380,6 +418,9 @@ def test_what_takes_long_is_announced(gpu: Gpu, volume: Path, monkeypatch: pytes
     assert view.stage._seconds[True] == np.inf  # what the mask costs is not known yet
     hand.release(205, 150)
     hand.canvas.draw()
+    assert not view.computing  # it moves nothing yet
+    view.document.add(Stroke.grab(tuple(view.tools.sight.cross), by=(5, 0, 0), radius=30))
+    hand.canvas.draw()
     assert view.computing
     assert status(view) == "computing \u2026"
     assert view.stage._bent[0][0] is not view.document.deformation
@@ -425,3 +466,155 @@ def test_a_volume_is_frozen_in_a_plane_and_rendered(gpu: Gpu, volume: Path) -> N
     view.document.set_freeze(None)
     screen(hand)
     assert view._gui.trouble == ""
+
+
+def crossed(shape: tuple[int, int]) -> tuple[Stroke, Stroke, Stroke]:
+    """A stroke, a freeze of a part of what it moves, and a stroke across its edge, of a picture of a shape."""
+    y, x = np.indices(shape)
+    mask = Freeze.of(np.hypot(x - 0.4 * shape[1], y - 0.5 * shape[0]) < 0.15 * shape[0])
+    at = 0.4 * shape[1], 0.45 * shape[0]
+    radius = 0.2 * shape[0]
+    first = Stroke.grab(at, by=(0.1 * shape[0], 0), radius=radius)
+    return first, Stroke.freeze(mask), Stroke.grab((at[0] + radius, at[1]), by=(0, -0.1 * shape[0]), radius=radius)
+
+
+def test_a_gpu_leaves_several_masks_to_the_cpu(gpu: Gpu) -> None:
+    from supple.gpu.plate import Sight
+    from supple.gpu.screen import canvas_texture, pixels_of
+    from supple.viewer.panels.stages import ImageStage
+
+    source = np.random.default_rng(4).integers(0, 256, (150, 210, 4), np.uint8)
+    source[..., 3] = 255
+    stage = ImageStage(replace(gpu, software=False), "a.png", source)
+    d, sight = (
+        Deformation.from_recipe(Recipe(strokes=crossed((150, 210))), (150, 210)),
+        Sight((0.0, 0.0), 1.0, (210, 150)),
+    )
+    texture = canvas_texture(gpu, sight.size)
+    wanted = d.warp(source, alpha=False).astype(int)
+    for one, off in ((d.without_strokes().grab((50, 50), by=(9, 3), radius=20), None), (d, 1)):
+        stage.expect((one,), sight)
+        assert stage.draw(one, sight, texture)
+        apart = np.abs(pixels_of(gpu, texture).astype(int)[..., :3] - wanted[..., :3])
+        assert (apart.max() <= 1) == (off == 1)
+        assert stage.trouble == ""
+    stage.expect((d,), replace(sight, overlay="grid"))
+    assert stage.trouble == "the overlay leaves out freezes after the first stroke, and mattes"
+
+
+def test_frames_of_a_clip_show_a_freeze_among_strokes(gpu: Gpu, clip: Path) -> None:
+    from tests.viewer.windows import wait_for
+
+    view, hand = opened(clip)
+    wait_for(lambda: hand.canvas.draw() is not None and view.painter.ready, 60)
+    hand.key("1")
+    view.document.timed = False
+    for stroke in crossed(view.stage.shape[1:]):
+        view.document.add(stroke)
+    view.document.select(None)
+    for _ in range(3):
+        hand.canvas.draw()
+    assert view._gui.trouble == view.stage.trouble == ""
+    wanted = view.document.deformation.warp(view.stage.film.get(view.tools.playback.frame)[..., :3]).astype(int)
+    shown = view.pixels().astype(int)
+    left, top = (math.floor(v) for v in view.tools.view.to_canvas(0, 0))
+    assert min(left, top) >= 0
+    part = shown[top : top + wanted.shape[0], left : left + wanted.shape[1], :3]
+    assert np.abs(part - wanted[: part.shape[0], : part.shape[1]]).max() <= 1
+    # In time, that is not shown, and said.
+    timed, _ = opened(clip)
+    for stroke in crossed(view.stage.shape[1:]):
+        timed.document.add(replace(stroke, at=(*stroke.at, 2.0), by=(*stroke.by, 0.0)[: 3 * bool(any(stroke.by))]))
+    timed.canvas.draw()
+    assert "are not shown: export has them" in timed.stage.trouble
+
+
+def test_a_freeze_in_the_list(gpu: Gpu, grey_photo: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    strokes = crossed((380, 560))
+    view, hand = opened(grey_photo, Recipe(strokes=strokes))
+    view.document.select(1)
+    for _ in range(2):
+        hand.canvas.draw()
+    assert view._gui.trouble == ""
+    assert described(strokes[1], None) == (
+        f"Freeze: {frozen(view.document.freeze)}\nlater strokes move nothing there, earlier ones keep their effect"
+    )
+    assert {i for i, _ in view.document.tracks()} == {0, 2}
+    view.document.move(1, 0)  # now it holds the original
+    first = view.document.deformation.warp(images.read(grey_photo).pixels)
+    mask = view.document.freeze.shown(first.shape[:2]) == 0
+    np.testing.assert_array_equal(first[mask], images.read(grey_photo).pixels[mask])
+    view.document.set_freeze(None)  # at the end of the list
+    assert [stroke.brush for stroke in view.document.strokes] == ["freeze", "grab", "grab", "freeze"]
+    assert listed(view.document.strokes[-1]) == "Thaw everything"
+    assert view.document.frozen is None
+    assert names(view.tools) == ["Move stroke 1 later", "Thaw everything"]
+    view.document.set_freeze(None)
+    assert len(view.document.steps) == 3
+
+
+class TestAmounts:
+    def test_one_drag_of_all_strokes_is_one_step(self) -> None:
+        tools = image(Stroke.grab((100, 50), by=(20, 5), radius=30), Stroke.grab((120, 55), by=(0, 10), radius=20))
+        document = tools.document
+        document.begin_drag()
+        for part in (0.5, 1.7, -1.0):
+            assert document.preview_amount(part)
+            np.testing.assert_allclose(
+                document.deformation.forward((100, 50)), (100 + 20 * part, 50 + 15 * part), atol=1e-6
+            )
+        document.commit()
+        assert names(tools) == ["Amount -100%"]
+        assert document.recipe.amount == -1
+        document.undo()
+        assert document.recipe.amount == 1
+        document.begin_drag()
+        document.preview_amount(1.5)
+        document.abandon()
+        assert document.recipe.amount == 1
+
+    @pytest.mark.parametrize("part", [2.0, 0.5, -1.0])
+    def test_what_is_drawn_at_an_amount_is_what_is_seen(self, part: float) -> None:
+        tools = image(Stroke.grab((100, 50), by=(10, 5), radius=30))
+        document = tools.document
+        document.begin_drag()
+        document.preview_amount(part)
+        document.commit()
+        press(tools, "g")
+        drag(tools, (401, 201), (421, 211))
+        np.testing.assert_allclose(document.deformation.forward((200, 100)), (210, 105), atol=0.05)
+        assert document.strokes[1].by == pytest.approx((10 / part, 5 / part), rel=0.01)
+
+    def test_the_sliders(self, gpu: Gpu, grey_photo: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        found: dict[str, tuple[float, ...]] = {}
+        watch(
+            monkeypatch,
+            "slider_float",
+            lambda name, label, low, high: found.update({label: (low.x, low.y, high.x, high.y)}),
+        )
+        view, hand = opened(
+            grey_photo, Recipe(strokes=(Stroke.grab((400, 190), by=(100, 0), radius=60),)), size=(900, 1300)
+        )
+        view.document.select(0)
+        for _ in range(2):
+            hand.canvas.draw()
+
+        def at(name: str, part: float) -> tuple[float, float]:
+            left, top, right, bottom = found[name]
+            return left + (part + 1) / 3 * (right - left), 0.5 * (top + bottom)
+
+        hand.drag(at("##strength own", 1.0), at("##strength own", -0.5))
+        assert view.document.strokes[0].strength == pytest.approx(-0.5, abs=0.2)
+        hand.drag(at("##strength own", -0.5), at("##strength own", 2.0))
+        assert view.document.strokes[0].strength == pytest.approx(2.0, abs=0.05)
+        assert view.document.warning(0).startswith("200% of a drag by (100, 0) at (400, 190)")
+        assert view._gui.trouble == ""
+        hand.drag(at("##amount", 1.0), at("##amount", 0.5))
+        assert view.document.recipe.amount == pytest.approx(0.5, abs=0.2)
+        assert view.document.warning(0) is None
+        assert not view.document.dragging
+        assert [step(a, b).partition(" ")[0] for a, b in itertools.pairwise(view.document.steps)] == [
+            "Strength",
+            "Strength",
+            "Amount",
+        ]

@@ -176,10 +176,16 @@ void bind_points(nb::module_& m) {
         .def("__init__", &make_frozen, "values"_a, "first"_a, "step"_a)
         .def(
             "stand_for",
-            [](Frozen& self, nb::list masks) {
+            [](Frozen& self, nb::list masks, nb::list freezes) {
                 for (nb::handle mask : masks) self.masks.push_back(nb::cast<Masking>(mask).value_or(nullptr));
+                for (nb::handle freeze : freezes) {
+                    const auto [row, number] = nb::cast<std::pair<int, int>>(freeze);
+                    self.freezes.push_back({row, self.masks.at(number)});
+                }
             },
-            "masks"_a, "Stand for several masks, by their numbers in the rows of strokes; they have to live as long.")
+            "masks"_a, "freezes"_a,
+            "Stand for several masks, by their numbers in the rows of strokes; they have to live as long. Of freezes "
+            "between rows: the row before which each stands, and the number of its mask.")
         .def("freedom", &freedom, "points"_a, "Return m of points (N, 3), in physical units, and its gradient.");
     m.def("forward", &forward, "strokes"_a, "axes"_a, "points"_a, "jacobian"_a, "freeze"_a = nb::none(),
           "Return T of points (N, 3), in physical units, and ∂T/∂p (N, 3, 3) or None.");

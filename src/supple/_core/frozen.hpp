@@ -3,6 +3,8 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <limits>
+#include <utility>
 #include <vector>
 
 #include "freeze.hpp"
@@ -39,6 +41,8 @@ public:
         levels[0].bounds.resize(count);
         distances.assign(count, 255);
         std::copy(size, size + 3, levels[0].size);
+        std::fill(low, low + 3, std::numeric_limits<double>::infinity());
+        std::fill(high, high + 3, -std::numeric_limits<double>::infinity());
         const int* n = size;
         for (int z = 0; z < n[2]; z++)
             for (int y = 0; y < n[1]; y++)
@@ -46,6 +50,7 @@ public:
                     const MaskBounds found = bounds_of(x, y, z);
                     levels[0].of(x, y, z) = found;
                     if (!found.is_level()) distances[((size_t)z * n[1] + y) * n[0] + x] = 0;
+                    if (found.most() == 0) enclose({x, y, z});
                 }
         measure(1);
         measure(-1);
@@ -55,6 +60,9 @@ public:
     Frozen(const Frozen&) = delete;
 
     std::vector<const Frozen*> masks;  // if it stands for several: that of all strokes, or null, and those of some
+    // Of freezes between strokes, in order: the row before which each stands, and its mask, or null.
+    std::vector<std::pair<int, const Frozen*>> freezes;
+    double low[3], high[3];  // a box around all that is frozen, which may be empty
 
     // Of m in a box.
     MaskBounds bounds_in(const double* low, const double* high) const {
@@ -171,6 +179,15 @@ private:
             dw[1][c] = (d[0] + 2 * d[1]) / 3;
             dw[2][c] = (2 * d[1] + d[2]) / 3;
             dw[3][c] = d[2];
+        }
+    }
+
+    // Beyond the outermost cells, m is constant.
+    void enclose(const std::array<int, 3>& cell) {
+        for (int i = 0; i < 3; i++) {
+            const double from = first[i] + cell[i] / per_step[i], far = std::numeric_limits<double>::infinity();
+            low[i] = std::min(low[i], cell[i] > 1 ? from : -far);
+            high[i] = std::max(high[i], cell[i] < size[i] - 3 ? from + 1 / per_step[i] : far);
         }
     }
 

@@ -31,7 +31,7 @@ inline Bound bound_within(const Stroke& k, const Axis* axes, int dimensions) {
 
 template <int D>
 Plan<D>::Plan(std::vector<Stroke> table, const Axis* given, int width, int height, double z, double tolerance,
-              std::shared_ptr<const Composite> composite, const Box* wanted)
+              std::shared_ptr<const Composite> composite, const Box* wanted, const Frozen* masks)
     : width(width),
       height(height),
       z(z),
@@ -57,6 +57,7 @@ Plan<D>::Plan(std::vector<Stroke> table, const Axis* given, int width, int heigh
     roots.resize((size_t)across * down);
     reaching.assign(roots.size() * words, 0);
     bands.resize((down + BAND - 1) / BAND);
+    if (masks && !map) keep_state(masks);
     parallel((int)bands.size(), [this](int i, int) { solve_band(i); });
     for (const Band& b : bands) {
         error = std::max({error, reserve() * sqrt(b.worst), b.rounding});
@@ -67,7 +68,37 @@ Plan<D>::Plan(std::vector<Stroke> table, const Axis* given, int width, int heigh
         widest = std::max(widest, b.extent.widest);
         identity = identity && b.leaves.empty() && b.pixels.empty();
     }
+    if (under) {
+        error = std::max(error, under->error);
+        evaluations += under->evaluations;
+        unsolved += under->unsolved;
+        folds += under->folds;
+        widest = std::max(widest, under->widest);
+        identity = identity && under->identity;
+    }
     if (unsolved) error = std::numeric_limits<double>::infinity();
+}
+
+// Plan the strokes before the last freeze in all that it holds, and a pixel more, beside which chroma may lie.
+template <int D>
+void Plan<D>::keep_state(const Frozen* masks) {
+    for (const auto& [row, mask] : masks->freezes)
+        if (row < (int)strokes.size()) hold = mask, held_rows = row;
+    if (!hold) return;
+    Box inside = box;
+    for (int d = 0; d < 2; d++) {
+        const double first = floor(hold->low[d] / axes[d].spacing) - 1,
+                     last = ceil(hold->high[d] / axes[d].spacing) + 2;
+        inside[2 * d] = (int)std::clamp(first, (double)box[2 * d], (double)box[2 * d + 1]);
+        inside[2 * d + 1] = (int)std::clamp(last, (double)box[2 * d], (double)box[2 * d + 1]);
+    }
+    const double at = z * axes[2].spacing;
+    const bool outside = D == 3 && (at < hold->low[2] || at > hold->high[2]);
+    if (outside || inside[0] >= inside[1] || inside[2] >= inside[3])
+        hold = nullptr;
+    else
+        under = std::make_unique<Plan>(std::vector<Stroke>(strokes.begin(), strokes.begin() + held_rows), axes, width,
+                                       height, z, tolerance, nullptr, &inside, masks);
 }
 
 // The strokes that reach any of some roots, in order.
@@ -195,20 +226,26 @@ void Plan<D>::find_reaching(int j, int left, int right) {
         for (int l = 0; l < LANES && first + l < across; l++) {
             const int index = j * across + first + l;
             roots[index].rim = rim[l];
-            if (freeze) thaw(index);
+            if (freeze || hold) thaw(index);
         }
     }
 }
 
 // What is frozen is the identity: all of a root, or samples of it, as outside of every ball, if that holds of each
-// stroke that reaches it.
+// stroke that reaches it. What a freeze holds is as the strokes before it have it.
 template <int D>
 void Plan<D>::thaw(int index) {
     const int i = index % across, j = index / across;
     const double low[3] = {column(i) * axes[0].spacing, line(j) * axes[1].spacing, z * axes[2].spacing};
     const double high[3] = {column(i + 1) * axes[0].spacing, line(j + 1) * axes[1].spacing, low[2]};
     const Frozen* last = nullptr;  // neighbours share one
-    bool frozen = true, still = false, some = false;
+    bool frozen = true, still = false, some = hold && !hold->is_free(low, high);
+    if (hold && hold->is_frozen(low, high)) {
+        roots[index].held = true;
+        for (int n = held_rows; n < (int)strokes.size(); n++)
+            reaching[(size_t)index * words + n / 64] &= ~(1ull << (n % 64));
+        return;
+    }
     for (size_t word = 0; word < words; word++)
         for (uint64_t set = reaching[(size_t)index * words + word]; set; set &= set - 1) {
             const Stroke& k = strokes[64 * word + __builtin_ctzll(set)];
@@ -376,7 +413,8 @@ void Plan<D>::solve_band(int index) {
         for (int i = left; i < right; i++) {
             int root = j * across + i, node = (j - first) * (across + 1) + i;
             const uint64_t* set = reaching.data() + (size_t)root * words;
-            if (!map && std::all_of(set, set + words, [](uint64_t s) { return s == 0; })) continue;
+            if (!map && (roots[root].held || std::all_of(set, set + words, [](uint64_t s) { return s == 0; })))
+                continue;
             w.cells.push_back({root,
                                column(i),
                                line(j),
@@ -736,18 +774,55 @@ void Plan<D>::mark(const Root& root, int index, const Grid& grid, int x, int y, 
             }
             for (int i = from; i < to; i++) row.same[i] = row.same[i] && k.freeze && frozen[i];
         }
+    for (int i = 0; i < n; i++)
+        if (row.same[i]) same(row, i, x, y);
+}
+
+// Set a sample of a row, which begins with x, to the identity.
+template <int D>
+void Plan<D>::same(Row<D>& row, int i, int x, int y) const {
+    row.same[i] = row.some_same = true;
+    row.whole[0][i] = x + i;
+    row.whole[1][i] = y;
+    row.part[0][i] = row.part[1][i] = 0;
+    row.across[0][i] = row.down[1][i] = row.depth2[i] = 1;
+    row.across[1][i] = row.down[0][i] = 0;
+    if constexpr (D == 3) {
+        row.whole[2][i] = (int)z;
+        row.part[2][i] = 0;
+    }
+}
+
+// Set the samples that a freeze holds to what the strokes before it make of them.
+template <int D>
+void Plan<D>::restore(int index, const Grid& grid, int x, int y, int n, Row<D>& row) const {
+    bool frozen[STRIDE], some = false;
     for (int i = 0; i < n; i++) {
-        if (!row.same[i]) continue;
-        row.some_same = true;
-        row.whole[0][i] = x + i;
-        row.whole[1][i] = y;
-        row.part[0][i] = row.part[1][i] = 0;
-        row.across[0][i] = row.down[1][i] = row.depth2[i] = 1;
-        row.across[1][i] = row.down[0][i] = 0;
-        if constexpr (D == 3) {
-            row.whole[2][i] = (int)z;
-            row.part[2][i] = 0;
+        const double at[3] = {((x + i) * grid.step[0] + grid.offset[0]) * axes[0].spacing,
+                              (y * grid.step[1] + grid.offset[1]) * axes[1].spacing, z * axes[2].spacing};
+        frozen[i] = is_frozen<3>(*hold, at);
+        some = some || frozen[i];
+    }
+    if (!some) return;
+    Row<D> state;
+    const bool moved = under->fill_root(grid, index, y, row.sloped ? Slopes::ALL : Slopes::NONE, state);
+    for (int i = 0; i < n; i++) {
+        if (!frozen[i]) continue;
+        if (!moved || (state.some_same && state.same[i])) {
+            same(row, i, x, y);
+            continue;
         }
+        row.same[i] = false;
+        for (int d = 0; d < D; d++) {
+            row.whole[d][i] = state.whole[d][i];
+            row.part[d][i] = state.part[d][i];
+        }
+        if (!row.sloped) continue;
+        for (int d = 0; d < 2; d++) {
+            row.across[d][i] = state.across[d][i];
+            row.down[d][i] = state.down[d][i];
+        }
+        row.depth2[i] = state.depth2[i];
     }
 }
 
@@ -755,6 +830,34 @@ void Plan<D>::mark(const Root& root, int index, const Grid& grid, int x, int y, 
 // its pixels alone.
 inline bool may_shrink(const Grid& grid, float largest, bool composite) {
     return grid.step[0] != grid.step[1] || (composite && grid.step[0] > 1) || largest > 1 + LOW - 1e-3;
+}
+
+// Fill the samples of a root in a row; false if all are the identity, and nothing is set.
+template <int D>
+bool Plan<D>::fill_root(const Grid& grid, int index, int y, Slopes slopes, Row<D>& row) const {
+    const Root& root = roots[index];
+    if (root.held) return under->fill_root(grid, index, y, slopes, row);
+    row.idle = is_still(index);
+    if (row.idle) return false;
+    const Band& band = bands[root.band];
+    const double at = y * grid.step[1] + grid.offset[1];
+    int left, right;
+    columns_of(grid, index % across, left, right);
+    row.sloped =
+        slopes == Slopes::ALL || (slopes == Slopes::SHRINKING && may_shrink(grid, root.largest, map != nullptr));
+    if (root.first_pixel >= 0) fill_pixels(root, index, y, right - left, row);
+    for (int l = root.first; l >= 0; l = band.next[l]) {
+        const Leaf<D>& leaf = band.leaves[l];
+        bool lowest = leaf.y + leaf.h >= size[1], rightmost = leaf.x + leaf.w >= size[0];
+        if (at < leaf.y ? leaf.y > 0 : !lowest && at >= leaf.y + leaf.h) continue;
+        int from = leaf.x == 0 ? 0 : grid.from(0, leaf.x);
+        int to = rightmost ? grid.size[0] : grid.from(0, leaf.x + leaf.w);
+        if (from < to) fill(leaf, grid, y, from, to, left, row);
+    }
+    row.count = right - left;
+    mark(root, index, grid, left, y, right - left, row);
+    if (under && root.rim) restore(index, grid, left, y, right - left, row);
+    return true;
 }
 
 template <int D>
@@ -771,33 +874,13 @@ void Plan<D>::visit_rows(const Grid& grid, int root_row, const int (&box)[4], Sl
         if (columns_of(grid, end - 1, left, right), left < box[1]) break;
     // Whole rows, so that frames are read, and results written, in order.
     for (int y = std::max(top, box[2]); y < std::min(bottom, box[3]); y++) {
-        const double at = y * grid.step[1] + grid.offset[1];
         for (int i = begin; i < end; i++) {
-            int left, right, index = root_row * across + i;
+            int left, right;
             columns_of(grid, i, left, right);
-            int a = std::max(left, box[0]), b = std::min(right, box[1]);
+            const int a = std::max(left, box[0]), b = std::min(right, box[1]);
             if (a >= b) continue;
-            const Root& root = roots[index];
-            const Band& band = bands[root.band];
-            row.idle = is_still(index);
-            if (row.idle) {
-                visit(use, row, a, y, b - a, 0);
-                continue;
-            }
-            row.sloped = slopes == Slopes::ALL ||
-                         (slopes == Slopes::SHRINKING && may_shrink(grid, root.largest, map != nullptr));
-            if (root.first_pixel >= 0) fill_pixels(root, index, y, right - left, row);
-            for (int l = root.first; l >= 0; l = band.next[l]) {
-                const Leaf<D>& leaf = band.leaves[l];
-                bool lowest = leaf.y + leaf.h >= size[1], rightmost = leaf.x + leaf.w >= size[0];
-                if (at < leaf.y ? leaf.y > 0 : !lowest && at >= leaf.y + leaf.h) continue;
-                int from = leaf.x == 0 ? 0 : grid.from(0, leaf.x);
-                int to = rightmost ? grid.size[0] : grid.from(0, leaf.x + leaf.w);
-                if (from < to) fill(leaf, grid, y, from, to, left, row);
-            }
-            row.count = right - left;
-            mark(root, index, grid, left, y, right - left, row);
-            visit(use, row, a, y, b - a, a - left);
+            const bool moved = fill_root(grid, root_row * across + i, y, slopes, row);
+            visit(use, row, a, y, b - a, moved ? a - left : 0);
         }
     }
 }
@@ -861,6 +944,8 @@ Extent<D> Plan<D>::extent(int index) const {
     const Root& root = roots[index];
     if (root.first_pixel >= 0)
         return bands[root.band].extents[(size_t)(index / across % BAND) * across + index % across];
+    if (root.held) return under->extent(index);
+    if (under && root.rim) e |= under->extent(index);
     if (is_still(index) || root.rim) {  // the identity is included
         int i = index % across, j = index / across;
         double low[3] = {(double)column(i), (double)line(j), z}, high[3] = {column(i + 1) + 1.0, line(j + 1) + 1.0, z};

@@ -6,6 +6,9 @@
 // map varies too fast for nine points, the cell is split, down to single pixels, whose corners are nodes. A root cell
 // that no stroke can reach is the identity and costs nothing.
 //
+// Where a freeze among the strokes holds a point, T⁻¹ is that of the strokes before it, by a plan of their own: the
+// same bits as without the later strokes.
+//
 // A composite map (`Composite`) is solved at the nodes without guesses, and cells are checked against its solutions. If
 // it is not smooth, there are no cells: every pixel is solved, with its derivatives.
 //
@@ -16,6 +19,7 @@
 #include <algorithm>
 #include <array>
 #include <limits>
+#include <memory>
 #include <vector>
 
 #include "patch.hpp"
@@ -88,8 +92,9 @@ template <int D>
 class Plan {
 public:
     // Of strokes, or of a composite map; all of the plane, or the rows and columns of a box (x0, x1, y0, y1) and more.
+    // `masks` has the freezes between the strokes.
     Plan(std::vector<Stroke> strokes, const Axis* axes, int width, int height, double z, double tolerance,
-         std::shared_ptr<const Composite> map = nullptr, const Box* box = nullptr);
+         std::shared_ptr<const Composite> map = nullptr, const Box* box = nullptr, const Frozen* masks = nullptr);
 
     const int width, height;
     const double z, tolerance;
@@ -103,7 +108,10 @@ public:
     bool identity = true;
 
     int roots_down() const { return down; }
-    bool is_still(int root) const { return roots[root].leaves == 0 && roots[root].first_pixel < 0; }
+    bool is_still(int root) const {
+        const Root& r = roots[root];
+        return r.held ? under->is_still(root) : r.leaves == 0 && r.first_pixel < 0;
+    }
     // Call use(row, x, y, n) for the samples x to x + n - 1 of row y, for all that lie in a row of roots and in
     // [x0, x1) × [y0, y1).
     template <class Use>
@@ -150,6 +158,7 @@ private:
         int band = 0, first = -1, leaves = 0;
         ptrdiff_t first_pixel = -1;  // of the band's, if every pixel is solved
         bool rim = false;            // some of its pixels may lie outside every ball, or be frozen
+        bool held = false;           // all of it is as the strokes before a freeze have it
         float largest = 1;           // as that of its extent
     };
     struct Pixel {
@@ -181,6 +190,7 @@ private:
     Chain chain_of(Work& w, RootOf root_of) const;
     void find_reaching(int root_row, int left, int right);
     void thaw(int root);
+    void keep_state(const Frozen* masks);
     void solve_band(int index);
     void solve_pixels(int root);
     Passed<Lanes> solve_composite(const Lanes (&q)[D], Jet<D, D, true, Lanes>& jet) const;
@@ -193,6 +203,9 @@ private:
                        Row<D>& __restrict row) const;
     void widen(const Leaf<D>& leaf, Extent<D>& e) const;
     void mark(const Root& root, int index, const Grid& grid, int x, int y, int n, Row<D>& row) const;
+    void same(Row<D>& row, int i, int x, int y) const;
+    bool fill_root(const Grid& grid, int index, int y, Slopes slopes, Row<D>& row) const;
+    void restore(int index, const Grid& grid, int x, int y, int n, Row<D>& row) const;
     void fill_pixels(const Root& root, int index, int y, int n, Row<D>& row) const;
     double reserve() const { return map || freeze ? ROUGH : RESERVE; }
     double finest() const {
@@ -201,9 +214,12 @@ private:
     }
 
     std::vector<Stroke> strokes;
-    std::vector<Bound> bounds;  // of each stroke
-    const Frozen* freeze;       // the mask, if it concerns any stroke
-    std::vector<int> all;       // a list of all strokes
+    std::vector<Bound> bounds;          // of each stroke
+    const Frozen* freeze;               // the mask, if it concerns any stroke
+    const Frozen* hold = nullptr;       // that of the last freeze between strokes, if it holds any of the box
+    int held_rows = 0;                  // the strokes before it,
+    std::unique_ptr<const Plan> under;  // and their plan, where it holds
+    std::vector<int> all;               // a list of all strokes
     Axis axes[3];
     int size[2], last[2], across, down;
     size_t words;

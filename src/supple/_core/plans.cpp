@@ -231,7 +231,8 @@ nb::tuple warp_stack(const Doubles& table, const Doubles& rows, int height, int 
     std::atomic<bool> small = false;
     unlocked([&] {
         parallel((int)planes.size(), [&](int i, int) {
-            Plan<3> plan(strokes, axes.data(), width, height, planes[i], tolerance, composite, &box);
+            Plan<3> plan(strokes, axes.data(), width, height, planes[i], tolerance, composite, &box,
+                         freeze.value_or(nullptr));
             errors[i] = plan.error;
             evaluations[i] = plan.evaluations;
             bad[i] = {plan.folds, plan.outside, plan.unsolved};
@@ -239,7 +240,8 @@ nb::tuple warp_stack(const Doubles& table, const Doubles& rows, int height, int 
             auto unmoved = [&](const Plan<3>& p) { return p.identity || p.extent().moved * sqrt(3.0) <= tolerance; };
             bool still = !composite && (copied ? (*copied)[i] : unmoved(plan));
             if (!copied && still && !plan.identity && wanted && box != Box{0, width, 0, height})
-                still = unmoved(Plan<3>(strokes, axes.data(), width, height, planes[i], tolerance));
+                still = unmoved(Plan<3>(strokes, axes.data(), width, height, planes[i], tolerance, nullptr, nullptr,
+                                        freeze.value_or(nullptr)));
             for (const Sampling* s : all) {
                 Job job = s->job;
                 const size_t row = (size_t)job.grid.size[0] * job.pixel_bytes();
@@ -279,7 +281,8 @@ nb::tuple needed_by(const Doubles& table, const Doubles& rows, int height, int w
     std::vector<std::array<long, 3>> bad(planes.size());
     unlocked([&] {
         parallel((int)planes.size(), [&](int i, int) {
-            Plan<D> plan(strokes, axes.data(), width, height, planes[i], tolerance, composite, &box);
+            Plan<D> plan(strokes, axes.data(), width, height, planes[i], tolerance, composite, &box,
+                         freeze.value_or(nullptr));
             parts[i] = needed(plan, job);
             moved[i] = plan.identity ? -1 : plan.extent().moved;
             errors[i] = plan.error;
@@ -339,11 +342,11 @@ void bind_plans(nb::module_& m) {
                     if (ndim == 2)
                         new (self) AnyPlan{std::variant<Plan<2>, Plan<3>>(std::in_place_index<0>, std::move(strokes),
                                                                           axes.data(), width, height, z, tolerance,
-                                                                          composite, &box)};
+                                                                          composite, &box, freeze.value_or(nullptr))};
                     else
                         new (self) AnyPlan{std::variant<Plan<2>, Plan<3>>(std::in_place_index<1>, std::move(strokes),
                                                                           axes.data(), width, height, z, tolerance,
-                                                                          composite, &box)};
+                                                                          composite, &box, freeze.value_or(nullptr))};
                 });
             },
             "strokes"_a, "axes"_a, "ndim"_a, "height"_a, "width"_a, "z"_a, "tolerance"_a, "map"_a = nb::none(),

@@ -289,6 +289,8 @@ def _recipe(name: str, recipe: Recipe) -> str:
         kind += "" if s.strength == 1 else f", strength {100 * s.strength:g}%"
         kind += f", {_motion(s)}" if s.keys else ""
         kind += "" if s.name is None else f", named {shown(s.name)}"
+        if s.brush == "freeze" and s.matte is not None:
+            kind = f"{100 * s.matte.share:.0f}% of {spoken(s.matte.samples)}" + (", hidden" if s.hidden else "")
         lines.append(f"  stroke {i + 1:<5}{_action(s)}, {kind}")
     return "\n".join(lines)
 
@@ -320,6 +322,8 @@ def _action(stroke: Stroke) -> str:
         return "grab " + ", ".join(
             f"{start}{way} to {end}" if moved or way else f"{start} pinned" for start, end, moved in ends
         )
+    if stroke.brush == "freeze":
+        return f"freeze {told(stroke.at)}"
     axis = "" if stroke.axis is None else told([round(x / math.hypot(*stroke.axis), 4) + 0.0 for x in stroke.axis])
     amount = f"{stroke.angle:g}°" if stroke.brush == "twist" else f"{stroke.factor:g}"
     along = {"twist": "about", "pinch": "along"}.get(stroke.brush, "")

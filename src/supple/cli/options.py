@@ -338,7 +338,7 @@ class TrackOptions:
                 paths[0],
                 names=self.track_name,
                 frame=None if self.track_frame is None else frames.read("--track-frame", self.track_frame),
-                strokes=range(total - count, total),
+                strokes=[k for k in range(total - count, total) if recipe.strokes[k].brush != "freeze"],
                 convention=self.track_from,
                 first=frames.first if self.track_first is None else self.track_first,
                 frames=frames.read,

@@ -1,5 +1,6 @@
 """Options of strokes, in the order in which they are given, and the recipe that they make."""
 
+import itertools
 import math
 import os
 from collections.abc import Callable, Mapping, Sequence
@@ -29,16 +30,8 @@ BRUSHES = ("--grab", "--twist", "--scale", "--pinch", "--pull", "--push")
 
 FRAMES = ("crop", "pad", "keep")
 _ONE_OF = "give --grab, --twist, --scale, --pinch, --pull or --push"
-_OF_EACH = (
-    "radius",
-    "poisson",
-    "scales",
-    "reach",
-    "time_radius",
-    "flat",
-    "matte",
-    "mirror",
-)  # of one stroke, and of all of them
+# Of one stroke, and of all of them.
+_OF_EACH = ("radius", "poisson", "scales", "reach", "time_radius", "flat", "strength", "matte", "mirror")
 _OF_ALL = ("border", "border_profile", "freeze", "freeze_width", "on_fold")
 _FLAT = "a part of the radius from 0 to 0.9"
 _TWIST = "X,Y[,T|Z]:ANGLE[:AXIS]"
@@ -129,9 +122,10 @@ class StrokeOptions:
     border_profile
         How movement fades towards the border: quartic (default), or sine as in the paper.
     freeze
-        Mask of what no stroke moves: a picture of the same size, in which white is frozen, black moves and grey moves
-        in part; or a volume, in which all but 0 is frozen. FILE:LABEL freezes one label, a number. Frozen pixels keep
-        their values. In a video, the mask holds for all frames.
+        Mask of what the strokes after it move nothing of, those of a later --recipe too: a picture of the same size, in
+        which white is frozen, black moves and grey moves in part; or a volume, in which all but 0 is frozen. FILE:LABEL
+        freezes one label, a number. Frozen pixels stay as the strokes before it leave them. In a video, the mask holds
+        for all frames. Given again further on, it takes the place of the one before (none: nothing is frozen).
     freeze_width
         Width over which movement fades to 0 beside what is frozen, and inside of a matte, in pixels, in a volume in
         millimetres (default: a 32nd of the shortest side). It must be at least 4 pixels.
@@ -144,7 +138,10 @@ class StrokeOptions:
         What to do with a stroke that would fold the picture or that the border holds back. flow (default): carry
         all of it out, in smaller steps. damp: weaken it. error: stop.
     amount
-        How much of each stroke is carried out: 30%, or 0.3. Each holds the same part of the picture as at 100%.
+        How much of each stroke is carried out, from -100% (the opposite) to 200%: 30%, or 0.3. Each holds the same part
+        of the picture as at 100%. Beyond 100%, as much as is possible without a fold, and it is said if that is less.
+    strength
+        The same for single strokes: give it once for all, or once for each.
     fit
         How a recipe that was made for another size fits: pixels takes its numbers as they are; stretch scales width
         and height by factors of their own; inside keeps proportions, centred. One of the same proportions is scaled
@@ -179,7 +176,7 @@ class StrokeOptions:
     border_profile: Annotated[
         Literal["quartic", "sine"] | None, Parameter(metavar="quartic|sine", show_choices=False)
     ] = None
-    freeze: Annotated[str | None, Parameter(metavar="FILE[:LABEL]")] = None
+    freeze: Annotated[list[str], Parameter(metavar="FILE[:LABEL]|none", show_default=False)] = ()  # type: ignore[assignment]
     freeze_width: Annotated[str | None, Parameter(allow_leading_hyphen=True, metavar="N")] = None
     matte: Annotated[list[str], Parameter(metavar="FILE|none", show_default=False)] = ()  # type: ignore[assignment]
     on_fold: Annotated[
@@ -187,6 +184,7 @@ class StrokeOptions:
     ] = None
     amount: Annotated[str | None, Parameter(allow_leading_hyphen=True, metavar="PART")] = None
     mirror: Annotated[str | None, Parameter(allow_leading_hyphen=True, metavar="X|X,Y:X,Y")] = None
+    strength: Annotated[list[str], Parameter(allow_leading_hyphen=True, metavar="PART", show_default=False)] = ()  # type: ignore[assignment]
     fit: Annotated[
         list[Literal["pixels", "stretch", "inside", "crop", "pad", "keep"]],
         Parameter(metavar="pixels|stretch|inside|crop|pad|keep", show_choices=False, show_default=False),
@@ -198,23 +196,27 @@ class StrokeOptions:
 
     @property
     def given(self) -> dict[str, list[str]]:
-        """The values of the options that are strokes."""
-        return {option: list(getattr(self, option[2:])) for option in BRUSHES}
-
-    @property
-    def count(self) -> int:
-        """The number of strokes given, without those of the recipe."""
-        return sum(map(len, self.given.values()))
+        """The values of the options that are strokes, or freezes among them."""
+        return {option: list(getattr(self, option[2:])) for option in (*BRUSHES, "--freeze")}
 
     @property
     def parts(self) -> list[int]:
-        """The number of strokes that each one given is made of: two, perhaps, with a mirror image."""
-        return getattr(self, "_parts", [1] * self.count)
+        """Of each stroke given, and each freeze that is not before all, how many it makes: two with a mirror image."""
+        found = [option for option, _ in in_order(current().arguments, self.given) if option != "--inverse"]
+        kept = itertools.dropwhile(lambda option: option == "--freeze", found)
+        sizes = iter(getattr(self, "_sizes", ()))
+        return [1 if option == "--freeze" else next(sizes, 1) for option in kept if option != "--recipe"]
+
+    @property
+    def count(self) -> int:
+        """The number of strokes given, and of freezes that are not before all; without those of the recipe."""
+        return len(self.parts)
 
     @property
     def any(self) -> bool:
         """Return whether there is anything to do."""
-        return self.count > 0 or self.recipe is not None or self.straightens
+        given = any(getattr(self, option[2:]) for option in BRUSHES)
+        return given or self.recipe is not None or self.straightens
 
     @property
     def straightens(self) -> bool:
@@ -275,6 +277,7 @@ class StrokeOptions:
         convention: str | None = None,
         ordered: Mapping[str, Sequence[str]] | None = None,
         frames: Frames | None = None,
+        window: bool = False,
     ) -> "Recipe":
         """Read the recipe file, if one is given, and add the strokes.
 
@@ -282,7 +285,8 @@ class StrokeOptions:
         are the options that would do, too. ``place`` returns the convention of the volume that the strokes are for, as
         `Geometry` has it; None without one. ``convention`` is that of tables of points that do not say it; instead,
         ``ordered`` has the values of --convention, each of which is about what stands before it, and of the other
-        options that it may be about. ``frames`` is how the frames of a clip are typed.
+        options that it may be about. ``frames`` is how the frames of a clip are typed. In a ``window``, strokes may
+        follow, so that a freeze may be the last one.
         """
         from supple.strokes import Recipe
 
@@ -311,19 +315,52 @@ class StrokeOptions:
             known = place() if world else None
             space = made.space if made.strokes else known if known in ("LPS", "RAS") else space  # type: ignore[assignment]
             strokes = [one.in_space(space) for one in found]
+        own = len(made.strokes)
         made = replace(made, strokes=(*made.strokes, *strokes), space=space or made.space)
         if self.border is not None:
             made = replace(made, border=_border(self.border))
         if self.amount is not None:
-            made = replace(made, amount=_amount(self.amount))
-        if self.freeze is not None:
-            made = replace(made, freeze=_freeze(self.freeze, self.freeze_width))
+            made = replace(made, amount=_part("--amount", self.amount))
+        if self.freeze:
+            made = self._frozen(made, own, window)
         elif self.freeze_width is not None and not self.matte:
             raise SuppleError("--freeze-width is for a freeze mask, and there is none: give --freeze, or leave it out")
         if self.border_profile is not None:
             made = replace(made, border_profile=self.border_profile)
         made = replace(made, straighten=self._straighten(made.straighten))
         return made if self.on_fold is None else replace(made, on_fold=self.on_fold)
+
+    def _frozen(self, recipe: "Recipe", own: int, last: bool) -> "Recipe":
+        """Return the recipe with the freezes among its strokes, of which the first ``own`` are those of the file.
+
+        ``last`` says whether one may stand after all strokes.
+        """
+        from supple.strokes import Stroke
+
+        strokes, place, mask = [*recipe.strokes], 0, recipe.freeze
+        sizes = iter(getattr(self, "_sizes", ()))
+        for option, text in in_order(current().arguments, self.given):
+            if option in BRUSHES:
+                place = max(place, own + len(strokes) - len(recipe.strokes)) + next(sizes)
+            elif option == "--recipe":
+                place = max(place, own + len(strokes) - len(recipe.strokes))
+            elif option == "--freeze":
+                if text == "none" and mask is None:
+                    raise SuppleError("--freeze none thaws what was frozen before it, and nothing was: leave it out")
+                mask = mask.freed if text == "none" and mask is not None else _freeze(text, self.freeze_width)
+                if place == 0:
+                    recipe = replace(recipe, freeze=None if text == "none" else mask)
+                    continue
+                if place == len(strokes) and not last:
+                    first = ", and before --recipe for its strokes" if own else ""
+                    raise SuppleError(
+                        f"--freeze {text} stands after all strokes, and holds none: give it before those that shall "
+                        f"move nothing there{first}"
+                    )
+                at = (*mask.middle, 0.0)[: strokes[0].ndim]
+                strokes.insert(place, Stroke.freeze(mask, at=at))
+                place += 1
+        return replace(recipe, strokes=tuple(strokes))
 
     def _strokes(
         self,
@@ -336,7 +373,7 @@ class StrokeOptions:
         """Return the strokes, in order."""
         from supple.strokes import REACH
 
-        if not self.count:
+        if not any(getattr(self, option[2:]) for option in BRUSHES):
             loose = [name for name in _OF_EACH if getattr(self, name)]
             if loose:
                 option = f"--{loose[0].replace('_', '-')}"
@@ -362,6 +399,9 @@ class StrokeOptions:
         if self.time_radius:
             times = [*_spread("--time-radius", self.time_radius, count, "a number of frames above 0")]
         flats = iter(_spread("--flat", self.flat, len(self.grab), _FLAT, "grab") or [0.0] * len(self.grab))
+        parts = [_part("--strength", text) for text in self.strength] or [1.0]
+        if len(parts) not in (1, count):
+            raise SuppleError(f"--strength is given {len(parts)} times for {count} strokes: give it once, or for each")
         mattes = self._mattes(count)
         made: list[_Given] = []
         for i, (option, text) in enumerate(found):
@@ -376,7 +416,8 @@ class StrokeOptions:
                 raise SuppleError(
                     f"{option} {text} has points of {stroke.ndim} numbers, and {first}: give all strokes as many"
                 )
-            made.append(_Given(f"{option} {text}", replace(stroke, matte=mattes[i]), space))
+            stroke = replace(stroke, matte=mattes[i], strength=parts[i % len(parts)])
+            made.append(_Given(f"{option} {text}", stroke, space))
         placed = next((one for one in made if one.space is not None), None)
         other = next((one for one in made if one.space is None), None)
         if placed is not None and other is not None and not world:
@@ -388,7 +429,7 @@ class StrokeOptions:
 
     def _mirrored(self, found: "list[_Given]") -> "list[_Given]":
         """Return strokes with their mirror images."""
-        self._parts = [1] * len(found)
+        self._sizes = [1] * len(found)
         if self.mirror is None:
             return found
         wanted = "X, a column of pixels, or X,Y:X,Y, two points of a line (256 or 250,0:262,511, say)"
@@ -406,7 +447,7 @@ class StrokeOptions:
             except SuppleError as error:
                 raise SuppleError(f"{one.told}: {error}") from None
             made.append([replace(one, stroke=stroke) for stroke in both])
-        self._parts = list(map(len, made))
+        self._sizes = list(map(len, made))
         return [*chain(*made)]
 
     def _mattes(self, count: int) -> "list[Freeze | None]":
@@ -555,13 +596,15 @@ def _freeze(text: str, width: str | None) -> "Freeze":
         raise SuppleError(str(error).replace("the freeze mask's width", "--freeze-width")) from None
 
 
-def _amount(text: str) -> float:
+def _part(option: str, text: str) -> float:
     """Read a part from the command line, in percent or as a number."""
-    wanted = "a part of the strokes, from 0% to 100%, or from 0 to 1"
+    from supple.strokes import LEAST, MOST
+
+    wanted = "a part of the strokes, from -100% to 200%, or from -1 to 2"
     percent = text.strip().endswith("%")
-    part = parse_number("--amount", text.strip().removesuffix("%"), wanted) / (100 if percent else 1)
-    if not 0 <= part <= 1:
-        raise SuppleError(f"--amount must be {wanted}, found {text!r}")
+    part = parse_number(option, text.strip().removesuffix("%"), wanted) / (100 if percent else 1)
+    if not LEAST <= part <= MOST:
+        raise SuppleError(f"{option} must be {wanted}, found {text!r}")
     return part
 
 

@@ -56,7 +56,7 @@ def view(
     convention = maps.coordinates
     typed = time.frames(source)
     given: dict[str, Any] = {"world": volume.world, "place": lambda: volume.place_of(source), "convention": convention}
-    given["frames"] = typed
+    given |= {"frames": typed, "window": True}
     recipe = strokes.to_recipe(**given) if strokes.any else None
     if volume.world and recipe is None:
         raise SuppleError("--world is about the points of strokes, and there are none: leave it out")

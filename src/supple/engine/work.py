@@ -36,11 +36,11 @@ class Mask(_core.Freeze):
         self.first: npt.NDArray[np.float64] = first - origin
         self.coefficients = freeze.coefficients.reshape(values.shape)
         super().__init__(values.astype(np.float32), self.first.tolist(), self.step.tolist())
-        self._made_of = freeze, spacing, origin
+        self.made_of = freeze, spacing, origin
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle the arguments: the core's objects stay in their process."""
-        return _mask, self._made_of
+        return _mask, self.made_of
 
 
 @lru_cache(maxsize=16)
@@ -59,25 +59,40 @@ def mask_of(domain: Domain, origin: tuple[float, ...] = (0.0, 0.0, 0.0)) -> Mask
 class Mattes(_core.Freeze):
     """The masks of strokes that have some of their own, by their numbers in the rows; the first is that of the others.
 
-    Shaders see the first alone.
+    ``freezes`` are those between strokes, in order: the row before which each stands, and the number of its mask.
+    Shaders see the first mask alone.
     """
 
-    def __init__(self, masks: tuple[Mask | None, ...]) -> None:
+    def __init__(self, masks: tuple[Mask | None, ...], freezes: tuple[tuple[int, int], ...] = ()) -> None:
         super().__init__(np.ones((1, 1, 1), np.float32), [0.0] * 3, [1.0] * 3)
-        self.masks = masks
-        self.stand_for(list(masks))
+        self.masks, self.freezes = masks, freezes
+        self.stand_for(list(masks), list(freezes))
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle the arguments, as those of `Mask`."""
-        return Mattes, (self.masks,)
+        return _mattes, (self.masks, self.freezes)
 
     @classmethod
-    def adding(cls, before: Mask | Mattes | None, mask: Mask | None) -> tuple[Mattes, int]:
-        """Return the masks with one more, and its number."""
-        masks = before.masks if isinstance(before, Mattes) else (before,)
+    def adding(cls, before: Mask | Mattes | None, mask: Mask | None, row: int | None = None) -> tuple[Mattes, int]:
+        """Return the masks with one more, which freezes what is before a ``row`` if that is given, and its number."""
+        masks, freezes = (before.masks, before.freezes) if isinstance(before, Mattes) else ((before,), ())
         if mask not in masks[1:]:
             masks = (*masks, mask)
-        return cls(masks), 1 + masks[1:].index(mask)
+        number = 1 + masks[1:].index(mask)
+        return _mattes(masks, freezes if row is None else (*freezes, (row, number))), number
+
+
+@lru_cache(maxsize=16)
+def _mattes(masks: tuple[Mask | None, ...], freezes: tuple[tuple[int, int], ...]) -> Mattes:
+    return Mattes(masks, freezes)
+
+
+def seen_from(freeze: Mask | Mattes | None, origin: tuple[float, ...]) -> Mask | Mattes | None:
+    """Return a mask, or masks, for points from an origin, in physical units."""
+    if isinstance(freeze, Mattes):
+        masks = (None if mask is None else _mask(*mask.made_of[:2], origin) for mask in freeze.masks)
+        return _mattes(tuple(masks), freeze.freezes)
+    return None if freeze is None else _mask(*freeze.made_of[:2], origin)
 
 
 def shown_mask(freeze: Mask | Mattes | None) -> Mask | None:
@@ -86,9 +101,10 @@ def shown_mask(freeze: Mask | Mattes | None) -> Mask | None:
 
 
 def refuse_mattes(space: Space, where: str) -> None:
-    """Raise SuppleError if strokes have mattes, for what takes one mask alone."""
+    """Raise SuppleError if strokes have several masks, for what takes one mask alone."""
     if isinstance(space.freeze, Mattes):
-        raise SuppleError(f"strokes have mattes, which {where} does not take: leave them out, or use the CPU")
+        what = "a freeze stands between strokes" if space.freeze.freezes else "strokes have mattes"
+        raise SuppleError(f"{what}, which {where} does not take: leave them out, or use the CPU")
 
 
 @dataclass(frozen=True, slots=True)

@@ -206,7 +206,7 @@ def _written(job: Job, clip: Clip, deformations: tuple[Deformation, ...], bent: 
 
 def _warn_of_none(recipe: Recipe, clip: Clip) -> None:
     """Warn that strokes that move something do not in this clip."""
-    able = (each for each in recipe.strokes if each.strength > 0 and not each.hidden and not each.is_still)
+    able = (each for each in recipe.strokes if each.strength and not each.hidden and not each.is_still)
     if recipe.amount and any(able):
         text = f"no stroke moves a pixel of any frame of {clip.name}: its frames are as they were"
         warnings.warn(text, OutsideWarning, stacklevel=caller())
@@ -333,7 +333,11 @@ def with_ends(recipe: Recipe, hold: int, shape: tuple[int, ...], worth: float) -
     """Return a recipe in time whose mask freezes some frames at each end, of frames that count as ``worth`` pixels."""
     widths = Domain(shape, (1.0, 1.0, worth), recipe.border).border_widths
     ends = fade_of(shape, hold, None if widths is None else widths[2] / worth)
-    return replace(recipe, freeze=ends if recipe.freeze is None else ends.times(recipe.freeze))
+    strokes = (
+        replace(each, matte=ends.times(each.matte)) if each.brush == "freeze" and each.matte else each
+        for each in recipe.strokes
+    )
+    return replace(recipe, strokes=tuple(strokes), freeze=ends if recipe.freeze is None else ends.times(recipe.freeze))
 
 
 def fade_of(shape: tuple[int, ...], hold: int, width: float | None = None) -> Freeze:

@@ -73,7 +73,7 @@ def follow_tracks(
             return opened.layout.shape[0]
 
     made: list[Stroke] = list(recipe.strokes)
-    which = range(len(made)) if strokes is None else strokes
+    which = [k for k, each in enumerate(made) if each.brush != "freeze"] if strokes is None else strokes
     if path is None:
         for k in which:
             if made[k].ndim == 3:

@@ -99,7 +99,7 @@ def deformation_of(
 def warn_of_lengths(recipe: Recipe, grid: Grid, name: str, unit: str) -> None:
     """Warn of a radius that is in another unit, most likely: larger than the whole, or smaller than a sample."""
     size = np.multiply(grid.sizes, grid.spacing)
-    for stroke in recipe.strokes:
+    for stroke in (each for each in recipe.strokes if each.brush != "freeze"):
         if stroke.radius > _HUGE * max(size):
             told = f"{stroke.radius / max(size):.3g} times {name}, of {' x '.join(f'{x:.3g}' for x in size)} {unit}"
         elif stroke.radius < _TINY * min(grid.spacing):

@@ -77,6 +77,36 @@ def resolve(stroke: Stroke, domain: Domain, on_fold: FoldPolicy) -> Resolved:
     return _resolved(stroke, domain, on_fold, current_spelling())  # which its warning follows
 
 
+def farthest(stroke: Stroke, domain: Domain, on_fold: FoldPolicy) -> tuple[Stroke, Resolved]:
+    """Return a stroke at its strength, and its safe rows: beyond 1, or below 0, as much of it as is possible.
+
+    The part that is carried out, within a hundredth of the stroke, is in the warning, with the reason. Errors are those
+    of `resolve`, under ``"error"`` and of strengths from 0 to 1.
+    """
+    whole, part, low, high = stroke, stroke.strength, 0.0, stroke.strength
+    try:
+        if part != 1:
+            whole = stroke.weakened(part)
+        return whole, resolve(whole, domain, on_fold)
+    except SuppleError as error:
+        if on_fold == "error" or 0 <= part <= 1:
+            raise
+        reason = str(error)
+    made = stroke.weakened(low)
+    while abs(high - low) > 0.01:
+        middle = (low + high) / 2
+        try:
+            resolve(tried := stroke.weakened(middle), domain, on_fold)
+            made, low = tried, middle
+        except SuppleError:
+            high = middle
+    resolved = resolve(made, domain, on_fold)
+    warning = f"{part:.0%} of {described(stroke)} is carried out at {low:.0%}, as far as is possible: {reason}"
+    if whole is stroke:  # beyond what strokes can be
+        return made, replace(resolved, warning=warning)
+    return whole, replace(resolved, alpha=resolved.alpha * low / part, cause="fold", warning=warning)
+
+
 # A stroke does not depend on those before it: after an edit, the rows of the others are reused.
 @lru_cache(maxsize=4096)
 def _resolved(stroke: Stroke, domain: Domain, on_fold: FoldPolicy, spelling: Spelling) -> Resolved:

@@ -70,6 +70,8 @@ def described(stroke: Stroke) -> str:
     if stroke.also:
         name = f" ({shown(stroke.name)})" if stroke.name else ""
         return f"a pull{name} of {len(stroke.handles)} handles with radius {stroke.radius:g}"
+    if stroke.brush == "freeze":
+        return f"a freeze {where.partition(' with ')[0]}"
     if stroke.brush == "grab":
         return f"a drag by {spelled(stroke.by)} {where}"
     amount = f"{stroke.angle:g}°" if stroke.angle is not None else f"{stroke.factor:g}"
@@ -79,7 +81,7 @@ def described(stroke: Stroke) -> str:
 def warn_of_still(strokes: Sequence[Stroke]) -> None:
     """Warn of strokes that move nothing, wherever they are."""
     for i, stroke in enumerate(strokes):
-        if stroke.is_still and not stroke.hidden:
+        if stroke.is_still and not stroke.hidden and stroke.brush != "freeze":
             which = f"stroke {i + 1} of {len(strokes)}: " if len(strokes) > 1 else ""
             text = f"{which}{described(stroke)} moves nothing: give it another target, or leave it out"
             warnings.warn(text, OutsideWarning, stacklevel=caller())

@@ -184,7 +184,7 @@ def arrows(axes: Axes, deformation: Deformation, colour: str = "black") -> None:
     from matplotlib.patheffects import withStroke
 
     halo: list[AbstractPathEffect] = [withStroke(linewidth=2.6, foreground="white")]
-    for stroke in deformation.strokes[:_MOST_STROKES]:
+    for stroke in [each for each in deformation.strokes if each.brush != "freeze"][:_MOST_STROKES]:
         (x, y), (dx, dy) = stroke.at[:2], stroke.by[:2]
         for path in paths(deformation, stroke):
             axes.add_patch(

@@ -166,6 +166,10 @@ class Domain:
         spacing = (*self.spacing[:2], self.spacing[2] * factor)
         return Domain(self.shape, spacing, border, self.border_profile, self.time, self.freeze)
 
+    def frozen(self, freeze: Freeze | None) -> Domain:
+        """Return the domain with another freeze mask."""
+        return Domain(self.shape, self.spacing, self.border, self.border_profile, self.time, freeze)
+
     def packed(self) -> npt.NDArray[np.float64]:
         """Return the domain in the layout of the core.
 

@@ -208,6 +208,22 @@ class Freeze:
         return replace(self, values=(_FREE - self.coefficients).tobytes())
 
     @property
+    def freed(self) -> Self:
+        """The mask of the same medium in which nothing is frozen."""
+        return replace(self, values=bytes([_FREE]) * len(self.values))
+
+    @property
+    def middle(self) -> tuple[float, ...]:
+        """The middle of what is frozen, in samples, x first; of all if nothing is."""
+        held = 1.0 - self.coefficients / _FREE if not self.is_free else np.ones(self.coefficients.shape)
+        found = []
+        for axis, n in enumerate(self.samples[: self.ndim]):
+            sums = held.sum(axis=tuple(k for k in range(self.ndim) if k != self.ndim - 1 - axis))
+            places = np.clip(self.first[axis] + self.step[axis] * np.arange(self.size[axis]), 0, n - 1)
+            found.append(float(round(places @ sums / sums.sum())))
+        return tuple(found)
+
+    @property
     def share(self) -> float:
         """The part of the medium that is frozen, by samples at up to 256 places along each axis."""
         return float((self.at([np.linspace(0, n - 1, min(n, 256)).round() for n in self.samples]) == 0).mean())

@@ -6,6 +6,8 @@ from supple.strokes.scaling import Fit, Scaling, scaling_of, spoken
 from supple.strokes.stroke import (
     LARGEST_ANGLE,
     LARGEST_FACTOR,
+    LEAST,
+    MOST,
     MOST_HANDLES,
     PAINTINGS,
     REACH,
@@ -18,6 +20,8 @@ from supple.strokes.table import POISSON, legs, matrix_of, pack, poisson_of, str
 __all__ = [
     "LARGEST_ANGLE",
     "LARGEST_FACTOR",
+    "LEAST",
+    "MOST",
     "MOST_HANDLES",
     "PAINTINGS",
     "POISSON",

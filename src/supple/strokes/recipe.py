@@ -13,7 +13,7 @@ from supple.space.domain import Border, BorderProfile, check_border_profile, che
 from supple.space.freezing import Freeze
 from supple.space.straighten import Straighten
 from supple.strokes.scaling import Fit, Scaling, scaling_of, spoken
-from supple.strokes.stroke import PART, Stroke
+from supple.strokes.stroke import LEAST, MOST, PART, Stroke
 from supple.strokes.text import read, written
 
 FoldPolicy = Literal["damp", "flow", "error"]
@@ -41,12 +41,13 @@ class Recipe:
         The coordinates of points: ``"pixels"`` (indices, in volumes); or, in volumes, millimetres in ``"LPS"`` or
         ``"RAS"``. None: pixels, unless the reader of the volume determines otherwise.
     amount : float
-        The applied fraction of every stroke's drag, from 0 to 1.
+        The applied fraction of every stroke's drag, from -1 (the opposite) to 2.
     time_scale : float or None
         For a recipe with times, the length of a frame in pixels. None: 1, unless the reader of the clip determines
         otherwise.
     freeze : Freeze or None
-        The freeze mask, in samples of the medium that the recipe was made for, whatever its ``space`` is.
+        The freeze mask of all strokes up to the first freeze among them (`Stroke.freeze`), in samples of the medium
+        that the recipe was made for, whatever its ``space`` is.
     straighten : Straighten or None
         How a picture is straightened after all strokes, in the same resampling.
     """
@@ -82,7 +83,7 @@ class Recipe:
             choice("space", self.space, get_args(CoordinateSpace))
             if self.is_world and ndim == 2:
                 refuse("space", '"pixels" where points have 2 numbers', self.space)
-        object.__setattr__(self, "amount", number("amount", self.amount, PART, 0.0, 1.0))
+        object.__setattr__(self, "amount", number("amount", self.amount, PART, LEAST, MOST))
         if self.time_scale is not None:
             object.__setattr__(self, "time_scale", length("time_scale", self.time_scale))
         if self.freeze is not None and not isinstance(self.freeze, Freeze):

@@ -17,7 +17,7 @@ from supple.space.checks import LARGEST, choice, integer, length, number, point,
 from supple.space.freezing import Freeze
 from supple.strokes.keys import Key, checked_keys, position, value
 
-Brush = Literal["grab", "twist", "scale", "pinch"]
+Brush = Literal["grab", "twist", "scale", "pinch", "freeze"]
 Point = Sequence[float] | npt.NDArray[Any]
 Place = tuple[float, ...]
 
@@ -28,7 +28,9 @@ MOST_FLAT = 0.9
 MOST_HANDLES = 1000
 PAINTINGS = frozenset(("restore", "smooth", "push"))
 """The names of strokes that were painted, of many points at once."""
-PART = "a number from 0 to 1"
+PART = "a number from -1 (the opposite) to 2"
+LEAST, MOST = -1.0, 2.0
+"""The range of amounts and strengths."""
 FADE = 5  # frames beyond a track, within which what follows it fades
 
 
@@ -63,7 +65,8 @@ class Stroke:
         ``"grab"`` moves the pivot by the drag. The others are affine at the pivot, and fade with the distance:
         ``"twist"`` turns it by the angle; ``"scale"`` magnifies it by the factor (in a clip, in x and y alone);
         ``"pinch"`` stretches it by the factor along the axis, and by the inverse across it (in a volume, by the
-        inverse's root along both axes across).
+        inverse's root along both axes across). ``"freeze"`` moves nothing: later strokes move nothing where its
+        ``matte`` is 0, which takes the place of the freeze mask before it (`Stroke.freeze` makes one).
     angle : float or None
         Of a twist: degrees, from x towards y; in a volume, right-handed about the axis.
     factor : float or None
@@ -87,10 +90,11 @@ class Stroke:
     name : str or None
         A name for users.
     strength : float
-        The applied fraction of the drag, from 0 to 1; see `Deformation.from_recipe`.
+        The applied fraction of the drag, the angle or the factor's logarithm, from -1 (the opposite) to 2; see
+        `Deformation.from_recipe`.
     matte : Freeze or None
         A factor m(p) of its displacement, 1 where it applies in full, beside the freeze mask of all strokes
-        (`Freeze.of` and `Freeze.matte_of` make them).
+        (`Freeze.of` and `Freeze.matte_of` make them); of a freeze, its mask.
     keys : sequence of Key
         In a clip, of a stroke of two coordinates: where its point ``at`` is, how it is turned and scaled, and how
         strong it is, in some frames, in ascending order. The whole stroke moves along; see `Recipe.at_frame`.
@@ -139,12 +143,15 @@ class Stroke:
             "reach": _checked_reach(self.reach),
             "time_radius": self._checked_time_radius(len(at)),
             "flat": self._checked_flat(),
-            "strength": number("strength", self.strength, PART, 0.0, 1.0),
+            "strength": number("strength", self.strength, PART, LEAST, MOST),
             **self._checked_shape(len(at)),
             "also": self._checked_pairs(len(at)),
             "path": self._checked_path(len(at)),
             "keys": checked_keys(self.keys, len(at)),
         }
+        if self.brush == "freeze" and (self.matte is None or self.keys or self.strength != 1):
+            name = "matte" if self.matte is None else "keys" if self.keys else "strength"
+            refuse(name, "a mask, for a freeze" if name == "matte" else "left out for a freeze", getattr(self, name))
         for name, item in checked.items():
             object.__setattr__(self, name, item)
 
@@ -355,6 +362,15 @@ class Stroke:
         drags = away * np.stack([along[:, 1], -along[:, 0]], axis=1)
         return replace(cls.pull(way, by=drags, radius=radius, **options), name="push")
 
+    @classmethod
+    def freeze(cls, mask: Freeze, *, at: Point = ()) -> Self:
+        """Return a freeze among strokes: later ones move nothing where the mask is 0; see `supple.Deformation.freeze`.
+
+        ``at`` is where lists and the window have it, by default the middle of what is frozen; it has as many numbers as
+        the points of the strokes.
+        """
+        return cls(brush="freeze", at=tuple(at) or mask.middle, radius=1.0, matte=mask)
+
     @property
     def ndim(self) -> int:
         """The number of coordinates of its points: 2 or 3."""
@@ -441,6 +457,8 @@ class Stroke:
         at, normal : sequence of float
             As in `mirrored`.
         """
+        if self.brush == "freeze":
+            return (self,)
         image = self.mirrored(at, normal)
         apart = math.dist(self.at, image.at) > 0.02 * self.radius
         if self.brush != "grab" or self.path or ((self.keys or self.flat or self.matte) and apart):

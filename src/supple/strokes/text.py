@@ -36,10 +36,11 @@ def written(members: Mapping[str, object], strokes: Iterable[Stroke]) -> str:
     turning = any((key.angle, key.scale) != (None, None) for stroke in strokes for key in stroke.keys)
     newer = any(
         stroke.brush == "twist" or (stroke.ndim == 3 and not world) or stroke.isotropic
-        or stroke.time_radius is not None or stroke.flat or stroke.matte
+        or stroke.time_radius is not None or stroke.flat or stroke.matte or not 0 <= stroke.strength <= 1
         for stroke in strokes
     )  # fmt: skip
-    version = VERSION if turning or newer or members.get("straighten") else 2
+    most = float(str(members["amount"]))
+    version = VERSION if turning or newer or members.get("straighten") or not 0 <= most <= 1 else 2
     head = {"supple": version, **{k: v for k, v in members.items() if v is not None or k == "border"}}
     lines = [f"  {_dump(key)}: {_dump(_plain(value))}" for key, value in head.items()]
     entries = ",\n".join(f"    {_dump(_entry(stroke))}" for stroke in strokes)
@@ -144,7 +145,9 @@ def _stroke(where: str, entry: object, version: int, world: bool) -> Stroke:
     )
     if "brush" in entry:
         choice(f"{where}: brush", entry["brush"], get_args(Brush))
-    needed = {"twist": "angle", "scale": "factor", "pinch": "factor"}.get(str(entry.get("brush")), end)
+    needed = {"twist": "angle", "scale": "factor", "pinch": "factor", "freeze": "matte"}.get(
+        str(entry.get("brush")), end
+    )
     _check_keys(where, entry, [*known, "to"] if version > 1 else known, ["brush", "at", needed, "radius"])
     if end == "to":
         if "by" in entry:

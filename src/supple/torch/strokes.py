@@ -91,6 +91,8 @@ def strokes_of(d: Deformation, given: Given, like: torch.Tensor, dtype: torch.dt
     n, table, axes = d.ndim, d.space.table, d.space.axes[: d.ndim]
     damping = d.resolution()["damping"]
     if given:
+        if any(stroke.brush == "freeze" for stroke in d.strokes):
+            raise SuppleError("gradients need one freeze mask for all strokes: give it to the deformation (freeze=)")
         if len(table) > sum(not stroke.is_still for stroke in d.strokes):
             pulls = any(stroke.also for stroke in d.strokes)
             several = "flows in several; use on_fold='damp', a larger radius or less of it"

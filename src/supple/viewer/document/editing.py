@@ -59,6 +59,21 @@ class State:
         """The policy for strokes that would fold the image."""
         return self.rest.on_fold
 
+    @property
+    def mask(self) -> Freeze | None:
+        """The freeze mask that the next stroke is subject to."""
+        freezes = (stroke.matte for stroke in reversed(self.strokes) if stroke.brush == "freeze" and not stroke.hidden)
+        return next(freezes, self.rest.freeze)
+
+    @property
+    def without_freeze(self) -> Self:
+        """The state without a freeze at the end of the list."""
+        last = self.strokes[-1] if self.strokes else None
+        if last is None or last.brush != "freeze" or last.hidden:
+            return self
+        count = len(self.strokes) - 1
+        return replace(self, strokes=self.strokes[:-1], selected=None if self.selected == count else self.selected)
+
     def with_stroke(self, i: int, stroke: Stroke) -> Self:
         """Return a state with a stroke replaced."""
         return replace(self, strokes=(*self.strokes[:i], stroke, *self.strokes[i + 1 :]))
@@ -122,7 +137,7 @@ class Solved:
         part = self.amount * stroke.strength
         if whole is not now:
             stroke = replace(stroke, at=tuple(whole.forward(now.inverse(stroke.at).points).tolist()))
-        return replace(stroke.weakened(1 / part), strength=stroke.strength) if 0 < part < 1 else stroke
+        return replace(stroke.weakened(1 / part), strength=stroke.strength) if part not in (0, 1) else stroke
 
 
 class Landmarks:
@@ -269,6 +284,11 @@ class Document:
         known = self._nth(i)
         return None if known is None else self.deformation.arrival(known)
 
+    def warning(self, i: int) -> str | None:
+        """Return what is said of a stroke that is not carried out as a whole."""
+        known = self._nth(i)
+        return None if known is None else self.deformation.warnings[known]
+
     def misses(self, i: int) -> bool:
         """Return whether a stroke's point ends elsewhere than at its target; False if the stroke is hidden."""
         known = self._nth(i)
@@ -295,7 +315,11 @@ class Document:
         """
         visible = (i for i, stroke in enumerate(self.strokes) if not stroke.hidden)
         pairs, chosen, lone = zip(visible, self._now.tracks, strict=True), self.selected, self.dragging
-        return [pair for pair in pairs if pair[1].stroke.name not in PAINTINGS and (pair[0] == chosen or not lone)]
+        return [
+            (i, track)
+            for i, track in pairs
+            if track.stroke.brush != "freeze" and track.stroke.name not in PAINTINGS and (i == chosen or not lone)
+        ]
 
     def beneath(self, i: int, point: tuple[float, ...]) -> tuple[float, ...]:
         """Return where the material that is seen at a point was before a stroke, which is not hidden."""
@@ -351,9 +375,15 @@ class Document:
         self._edit(replace(self.state, rest=replace(self.state.rest, on_fold=on_fold)))
 
     @property
+    def frozen(self) -> Freeze | None:
+        """The freeze mask that the next stroke is subject to; None if nothing is frozen."""
+        known = self.state.mask
+        return None if known is None or known.is_free else known
+
+    @property
     def freeze(self) -> Freeze:
-        """The freeze mask; in a clip, where nothing was frozen, that of all its frames."""
-        known = self.state.rest.freeze
+        """The same; in a clip, where nothing was frozen, that of all its frames."""
+        known = self.state.mask
         if known is not None:
             return known
         domain = self.deformation.domain
@@ -361,10 +391,26 @@ class Document:
         return Freeze.free(self.shape[-n:], domain.spacing[:n])
 
     def set_freeze(self, freeze: Freeze | None) -> None:
-        """Set the freeze mask of all strokes; one in which nothing is frozen is none."""
-        if freeze is not None and freeze.is_free:
-            freeze = None
-        self._edit(replace(self.state, rest=replace(self.state.rest, freeze=freeze)))
+        """Freeze what strokes from now on move nothing of, by an item of the list; the next one changes the same item.
+
+        Before the first stroke, it is the freeze mask of the recipe. One in which nothing is frozen is none.
+        """
+        state = self.state.without_freeze
+        mask = None if freeze is None or freeze.is_free else freeze
+        if not state.strokes:
+            self._edit(replace(state, rest=replace(state.rest, freeze=mask)))
+            return
+        if mask is None and state.mask is not None and not state.mask.is_free:
+            mask = state.mask.freed
+        if mask is not None:
+            at = (*mask.middle, 0.0)[: state.strokes[0].ndim]
+            state = replace(state, strokes=(*state.strokes, Stroke.freeze(mask, at=at)))
+        self._edit(state)
+
+    def preview_amount(self, amount: float) -> bool:
+        """Show all strokes at another amount, as the current drag; as `preview` does."""
+        before, _ = self._dragged()
+        return self._tried(replace(before.state, rest=replace(before.state.rest, amount=amount)))
 
     def set_straighten(self, straighten: Straighten | None) -> None:
         """Set how a picture is straightened; what changes nothing is none."""

@@ -36,6 +36,8 @@ def named(stroke: Stroke) -> str:
     """Return what made a stroke."""
     if stroke.factor is not None and stroke.brush == "scale":
         return "Pucker" if stroke.factor < 1 else "Bloat"
+    if stroke.brush == "freeze" and stroke.matte is not None and stroke.matte.is_free:
+        return "Thaw everything"
     if stroke.name in PAINTINGS:
         return stroke.name.capitalize()
     return "Path" if stroke.path else stroke.brush.capitalize()
@@ -43,6 +45,8 @@ def named(stroke: Stroke) -> str:
 
 def listed(stroke: Stroke) -> str:
     """Return a stroke in a line of a list."""
+    if stroke.brush == "freeze":
+        return _held(stroke)
     said = f"{named(stroke)} {place(stroke.at)}"
     if stroke.angle is not None:
         said += f" {stroke.angle:.3g}\u00b0"
@@ -63,6 +67,11 @@ def done(stroke: Stroke, digits: int = 0) -> str:
     return said if stroke.axis is None else f"{said}, axis ({', '.join(f'{v:.3g}' for v in stroke.axis)})"
 
 
+def _held(stroke: Stroke) -> str:
+    """Return what a freeze does."""
+    return named(stroke) if stroke.matte is None or stroke.matte.is_free else f"Freeze: {frozen(stroke.matte)}"
+
+
 def others(stroke: Stroke) -> str:
     """Return how many other points a stroke has."""
     pins = sum(not any(by) for _, by in stroke.also)
@@ -76,6 +85,8 @@ def _counted(count: int, what: str) -> str:
 
 def described(stroke: Stroke, arrival: Arrival | None) -> str:
     """Return a description of a stroke, and of its point's position, in a few lines."""
+    if stroke.brush == "freeze":
+        return f"{_held(stroke)}\nlater strokes move nothing there, earlier ones keep their effect"
     said = f"{named(stroke)} at {place(stroke.at, 1)}\n{done(stroke, 1)}\nradius {stroke.radius:.4g}"
     if stroke.poisson is not None:
         said += f", Poisson ratio {stroke.poisson:.3g}"
@@ -111,7 +122,11 @@ def step(before: State, after: State) -> str:
             return "Straighten" if after.rest.straighten else "Straighten no longer"
         if changed == ["border"]:
             return "Free the border" if after.rest.border is None else "Fix the border"
+        if changed == ["amount"]:
+            return f"Amount {after.rest.amount:.0%}"
         return "Folds" if changed == ["on_fold"] else _OTHER
+    if before.mask != after.mask and before.without_freeze.strokes == after.without_freeze.strokes:
+        return _freezing(before.mask, after.mask)
     old, new = before.strokes, after.strokes
     # The first and the last place where they differ.
     first = next((k for k, (a, b) in enumerate(zip(old, new, strict=False)) if a != b), min(len(old), len(new)))
@@ -138,7 +153,7 @@ def step(before: State, after: State) -> str:
 
 @lru_cache(maxsize=256)
 def _freezing(old: Freeze | None, new: Freeze | None) -> str:
-    if new is None:
+    if new is None or new.is_free:
         return "Thaw everything"
     if old is None:
         return "Freeze" if any(new.values) else "Invert what is frozen"

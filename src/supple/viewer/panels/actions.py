@@ -113,7 +113,7 @@ ACTIONS: dict[str, Action] = {
         "Thaw everything",
         "",
         _edits(lambda view: view.document.set_freeze(None)),
-        lambda view: view.document.state.rest.freeze is not None,
+        lambda view: view.document.frozen is not None,
     ),
     "invert frozen": Action(
         "Invert what is frozen", "", _edits(lambda view: view.document.set_freeze(view.document.freeze.inverted))

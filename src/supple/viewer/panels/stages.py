@@ -18,7 +18,7 @@ from supple._core.rows import STROKE_DTYPE, numbers
 from supple.arrays import warp_array
 from supple.deformation import Deformation
 from supple.engine.sampling import DEFAULT
-from supple.engine.work import Space, mask_of, shown_mask
+from supple.engine.work import Mattes, Space, seen_from, shown_mask
 from supple.errors import SuppleError
 from supple.files.clips import open_clip
 from supple.files.options import PathLike
@@ -313,7 +313,7 @@ def _reduced(deformation: Deformation, k: int, shape: tuple[int, ...]) -> Space:
     table["pivot"] -= inset
     axes[:, :2] -= inset[:, None]
     axes[:2, 3] *= 2**k
-    freeze = mask_of(deformation.domain, tuple(inset.tolist()))
+    freeze = seen_from(space.freeze, tuple(inset.tolist()))
     return replace(space, rows=numbers(table), axes=axes, shape=(shape[0], shape[1]), freeze=freeze)
 
 
@@ -337,6 +337,7 @@ _PLAIN = np.zeros(0, STROKE_DTYPE)
 
 
 Point = tuple[float, ...]
+_OVERLAID = "the overlay leaves out freezes after the first stroke, and mattes"
 SLOW = 0.5  # seconds: what takes longer is announced
 
 
@@ -364,10 +365,8 @@ class ImageStage:
         whole = given if isinstance(given, Picture) else Picture(given, alpha=True)
         self.pixels = on_screen(whole, self.transform)
         self._by_cpu = self._gpu.software  # which itself warps faster than shaders on it
-        if self._by_cpu:
-            levels = Levels(self.pixels)
-            self._warped = [Warped(self._gpu, levels), Warped(self._gpu, levels)]  # the result, and its base beside it
-        else:
+        self._warped: list[Warped] = []  # the result, and its base beside it
+        if not self._by_cpu:
             self._plate = Plate(self._gpu, self.pixels.shape[1::-1])
             self._plate.put(0, self.pixels)
 
@@ -385,15 +384,24 @@ class ImageStage:
         """Return whether drawing solves for T⁻¹, which takes a slow device long."""
         return not self._by_cpu or bool(sight.overlay)
 
+    def _warps(self, deformation: Deformation) -> bool:
+        """Return whether the CPU warps: always, or what shaders do not, strokes with several masks."""
+        return self._by_cpu or isinstance(deformation.space.freeze, Mattes)
+
     def expect(self, deformations: tuple[Deformation, ...], sight: Sight) -> None:
         """Prepare the next drawing: warp the image, where the device does not."""
-        if self._by_cpu:
-            for deformation, warped in zip(deformations, self._warped, strict=False):
+        if not self._warped and any(map(self._warps, deformations)):
+            levels = Levels(self.pixels)
+            self._warped = [Warped(self._gpu, levels), Warped(self._gpu, levels)]
+        several = any(isinstance(deformation.space.freeze, Mattes) for deformation in deformations)
+        self.trouble = _OVERLAID if several and sight.overlay else ""
+        for deformation, warped in zip(deformations, self._warped, strict=False):
+            if self._warps(deformation):
                 warped.bring(deformation, sight)
 
     def draw(self, deformation: Deformation, sight: Sight, texture: Any, encoder: Any = None) -> bool:
         """Draw the visible part, or record it into an encoder; return whether it is complete."""
-        if self._by_cpu:
+        if self._warps(deformation):
             next(warped for warped in self._warped if warped.shown is deformation).draw(sight, texture, encoder)
         else:
             self._drawn(deformation, sight, texture, encoder)
@@ -438,7 +446,8 @@ class VideoStage(ImageStage):
         slots = max(2, min(film.most, Plate.most(gpu, film.size), film.count))
         self._name(film.name, film.size)
         self._plate = Plate(gpu, film.size, film.count, slots)
-        self._by_cpu = False
+        self._gpu, self._by_cpu = gpu, False
+        self._still: tuple[object, Warped] | None = None  # a frame that the CPU warps, and the reason to do it anew
         self._spans: dict[tuple[Deformation, float], Span] = {}
 
     def set_transform(self, name: str) -> None:
@@ -453,6 +462,10 @@ class VideoStage(ImageStage):
         needed = {(d, time): self._spans.get((d, time)) or self.needed(d, time) for d in deformations}
         self._spans, self.trouble, slots = needed, "", self._plate.slots
         most = max(last - first + 1 for first, last in needed.values())
+        if any(isinstance(d.space.freeze, Mattes) for d in deformations):
+            timed = deformations[0].ndim == 3
+            self.trouble = "freezes after the first stroke, and mattes, are not shown: export has them" if timed else ""
+            self.trouble = _OVERLAID if sight.overlay and not timed else self.trouble
         if most > slots:
             self.trouble = f"needs {most} frames at once, and {slots} are kept: export shows it whole"
         first, *others = (self._kept(span) for span in needed.values())
@@ -466,7 +479,14 @@ class VideoStage(ImageStage):
         """Draw the visible part of an expected frame, or record it into an encoder; return whether it is complete."""
         first, last = self._kept(self._spans[deformation, sight.time])
         ready = self._laid(first, last)
-        if self._plate.held:
+        pixels = self._frame(sight.time)
+        if isinstance(deformation.space.freeze, Mattes) and deformation.ndim == 2 and pixels is not None:
+            why = deformation, id(pixels)
+            if self._still is None or self._still[0] != why:
+                self._still = why, Warped(self._gpu, Levels(pixels))
+            self._still[1].bring(deformation, sight)
+            self._still[1].draw(replace(sight, time=0.0), texture, encoder)
+        elif self._plate.held:
             self._drawn(deformation, sight, texture, encoder)
         if ready:
             return True

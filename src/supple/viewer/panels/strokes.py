@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from typing import Any, get_args
@@ -10,9 +11,9 @@ from typing import Any, get_args
 from imgui_bundle import imgui
 
 from supple.folding.limits import NEAR
-from supple.strokes import PAINTINGS, POISSON, REACH, FoldPolicy, Stroke, time_radius_of
+from supple.strokes import LEAST, MOST, PAINTINGS, POISSON, REACH, FoldPolicy, Stroke, time_radius_of
 from supple.strokes.stroke import MOST_FLAT
-from supple.viewer.document.keyframes import edited
+from supple.viewer.document.keyframes import animated, edited
 from supple.viewer.document.words import CAUSES, FALLOFFS, FOLDS, described, frozen, listed, others
 from supple.viewer.panels import keyframes, theme
 from supple.viewer.panels.actions import ACTIONS
@@ -46,7 +47,7 @@ _SCALES: dict[str, tuple[str, tuple[str, ...]]] = {
 
 def mask(view: View) -> None:
     """Say how much is frozen, if anything is, beside the colour that it has."""
-    known, held = view.document.state.rest.freeze, view.tools.held
+    known, held = view.document.frozen, view.tools.held
     painted = held is not None and held.masks
     if known is None and not painted:
         return
@@ -57,7 +58,7 @@ def mask(view: View) -> None:
     if painted or known is None:  # how much it is would be counted anew for each frame
         wrapped("Takes effect when you let go.")
         return
-    wrapped(f"{frozen(known)}: no stroke moves it.")
+    wrapped(f"{frozen(known)}: it stays as it is now.")
     hint("Freeze (C) and Thaw (V) paint it; the overlay Frozen tints it")
 
 
@@ -238,7 +239,9 @@ def strokes(view: View) -> None:
     if not section(view, "Strokes", f"Strokes ({count})" if count else "Strokes"):
         return
     mask(view)
-    if not count:
+    if count:
+        _amount(view)
+    else:
         wrapped(
             "Drag on the picture to make one."
             if view.stage.kind != "volume"
@@ -290,6 +293,10 @@ def selected(view: View) -> None:
     if not section(view, "Selected stroke", f"Stroke {i + 1}"):
         return
     own = document.state.strokes[i]
+    if own.brush == "freeze":
+        wrapped(described(own, None))
+        _order(view, i)
+        return
     stroke = own.at_frame(document.frame)
     axes = "xyt" if view.stage.kind == "video" else "xyz"
     made: dict[str, Any] = {}
@@ -346,6 +353,12 @@ def selected(view: View) -> None:
     if made:
         view.attempt(lambda: document.change(i, view.tools.paired(stroke, replace(stroke, **made))))
     _arrival(view, i)
+    _order(view, i)
+
+
+def _order(view: View, i: int) -> None:
+    """Draw the buttons that move a stroke in the list, or delete it."""
+    document = view.document
     count = len(document.state.strokes)
     wide = (imgui.get_content_region_avail().x - 2 * imgui.get_style().item_spacing.x) / 3
     for text, step, tip in (("Earlier", -1, "Apply it before"), ("Later", 1, "Apply it after")):
@@ -362,15 +375,34 @@ def selected(view: View) -> None:
 
 def _strength(view: View, i: int, stroke: Stroke, now: Stroke) -> None:
     document = view.document
-    label("Strength", "The part of the stroke that is applied; of an animated one, in this frame")
-    changed, value = slider("##strength own", 100 * now.strength, 0.0, 100.0, "%.0f %%")
+    label("Strength", "How much of the stroke is applied; of an animated one, in this frame. Below 0, the opposite")
+    keyed = animated(stroke, "strength")
+
+    def preview(part: float) -> None:
+        then = replace(now, strength=part)
+        document.preview_as(edited(stroke, now, then, document.frame))
+
+    _part(view, "strength own", now.strength, (0.0, 1.0) if keyed else (LEAST, MOST), i, preview)
+
+
+def _amount(view: View) -> None:
+    document = view.document
+    label("Amount", "How much of all strokes is applied: less takes back, below 0 they do the opposite")
+    _part(view, "amount", document.state.rest.amount, (LEAST, MOST), None, document.preview_amount)
+
+
+def _part(
+    view: View, name: str, now: float, limits: tuple[float, float], i: int | None, preview: Callable[[float], Any]
+) -> None:
+    """Draw the slider of a part, whose drag is a drag of the document."""
+    document = view.document
+    changed, value = slider(f"##{name}", 100 * now, 100 * limits[0], 100 * limits[1], "%.0f %%")
     if imgui.is_item_activated():
         if isinstance(view.tools, VideoTools):
             view.tools.playback.pause()
         view.attempt(lambda: document.begin_drag(i))
     if changed and document.dragging:
-        then = replace(now, strength=min(max(value / 100, 0.0), 1.0))
-        view.attempt(lambda: document.preview_as(edited(stroke, now, then, document.frame)))
+        view.attempt(lambda: preview(min(max(value / 100, limits[0]), limits[1])))
     if imgui.is_item_deactivated() and document.dragging:
         document.commit()
 
@@ -385,6 +417,8 @@ def _arrival(view: View, i: int) -> None:
         if document.state.on_fold != "flow" and imgui.button("Go all the way, in small steps", (REST, 0)):
             view.attempt(lambda: document.set_on_fold("flow"))
         hint("No step folds; for all strokes")
+    if (said := document.warning(i)) is not None and "as far as is possible" in said:
+        wrapped(f"{said.partition(':')[0]}.", colour=theme.WARNING)
     if arrival is not None and (carrier := document.carrier(i)) is not None:
         far = max(each.moved for each in (arrival, *arrival.also) if each.carried_by is not None)
         wrapped(f"Stroke {carrier + 1} carries it away: it ends {far:.3g} {unit} from there.", colour=theme.WARNING)

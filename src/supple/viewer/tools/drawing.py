@@ -376,7 +376,7 @@ class Drawing(ABC):
                 document.preview(made, select=False)
 
     def _mask(self, held: Held) -> None:
-        """Freeze or thaw what is under the pointer. Strokes are resolved anew at the end, as each depends on it."""
+        """Freeze or thaw what is under the pointer, for the strokes that follow; in the list only at the end."""
         domain = self.document.deformation.domain
         mask = held.mask or self.document.freeze
         steps = (*domain.spacing[: mask.ndim],)

@@ -82,7 +82,7 @@ class Tools(Drawing, Generic[V]):
     def mask(self) -> Freeze | None:
         """The freeze mask, as it is painted; None if nothing is frozen."""
         held = self.held
-        return self.document.state.rest.freeze if held is None or held.mask is None else held.mask
+        return self.document.frozen if held is None or held.mask is None else held.mask
 
     @property
     def status(self) -> str | None:

@@ -24,7 +24,7 @@ BRUSHES: Mapping[Tool, tuple[str, str]] = {
         "D",
         "hold a point against the selected grab, by a click, or drag one more; a click on a point removes it",
     ),
-    "freeze": ("C", "paint what no stroke moves, earlier ones neither; with Shift, thaw"),
+    "freeze": ("C", "paint what later strokes do not move, as it is now; with Shift, thaw"),
     "thaw": ("V", "paint what strokes may move again; with Shift, freeze"),
     "level": ("Y", "draw a line that shall be level, or upright: the picture is turned, in the same resampling"),
 }
