@@ -14,7 +14,7 @@ import pytest
 import supple
 from supple import Deformation, SuppleError
 from supple.engine import core
-from supple.engine.motion import CUT, Moving
+from supple.engine.motion import CUT, Motion, Moving
 from supple.engine.sampling import Sampling
 from supple.engine.work import Group, Layout, Work
 from tests import effort, reference
@@ -247,6 +247,24 @@ def test_only_where_it_may_move_is_motion_computed() -> None:
     untouched = np.abs(d.inverse(reference.grid(d.shape)).points - reference.grid(d.shape)).max(axis=-1) == 0
     assert untouched.mean() > 0.5
     np.testing.assert_array_equal(made[untouched], source[untouched])
+
+
+def test_frames_that_are_not_mixed_have_no_motion() -> None:
+    source = clip_of([*range(COUNT)])
+    d = Deformation((COUNT, *SIZE), border=None, time=True).grab((60, 50, 2), by=(9, 5, 0), radius=30)
+    motion = Motion(Work(d.space, Layout((Group(SIZE, 1),), source.dtype, 255.0), Sampling()), [source])
+    assert motion.between(range(2, 2)) is None
+    assert motion.between(range(2, 3)) is not None
+    np.testing.assert_array_equal(*(d.warp(source, between=between) for between in ("linear", "flow")))
+
+
+def test_what_stays_in_place_is_the_plain_mixture() -> None:
+    source = clip_of([*range(3)])
+    source[:, :, 150:] = texture(3, SIZE)[:, 150:, None]  # away from the square
+    source[:, :, 150:] ^= np.random.default_rng(0).integers(0, 2, source[:, :, 150:].shape, np.uint8)
+    mixed, followed = (later(3, SIZE, 0.3).warp(source, between=between) for between in ("linear", "flow"))
+    np.testing.assert_array_equal(followed[:, :, 176:], mixed[:, :, 176:])
+    assert (followed[1:, :, :150] != mixed[1:, :, :150]).mean() > 0.1
 
 
 def test_results_do_not_depend_on_threads_or_on_the_planes_asked_for() -> None:

@@ -116,11 +116,17 @@ inline bool Followed::find(const Job& job, const Row<3>& from) {
                     v[d][k] = v[d][left] + (float)(k - left) * share * (v[d][right] - v[d][left]);
         }
     }
+    if (!job.average) {  // what stays in place is mixed
+        bool stays = true;
+        for (int k = 0; k < n; k++) stays &= !field[k] || (way[k] != 0 && v[0][k] == 0 && v[1][k] == 0);
+        if (stays) return false;
+    }
     for (Row<3>& to : row) {
-        memcpy(to.across, from.across, sizeof from.across);
-        memcpy(to.down, from.down, sizeof from.down);
         to.sloped = from.sloped;
         to.count = n;
+        if (!from.sloped) continue;
+        memcpy(to.across, from.across, sizeof from.across);
+        memcpy(to.down, from.down, sizeof from.down);
     }
     for (int side = 0; side < 2; side++) {
         for (int d = 0; d < 2; d++) {

@@ -29,6 +29,10 @@ struct Times {
 // The samples at p + at of each lane; `at` is less than 16, or than 8 where not FAR.
 template <bool FAR, class T>
 INLINE Eight pick(const T* p, Eights at) {
+    if constexpr (std::is_same_v<T, uint8_t>) {  // one shuffle picks and widens
+        const __m256i all = _mm256_broadcastsi128_si256(_mm_loadu_si128((const __m128i*)p));
+        return (Eight)_mm256_cvtepi32_ps(_mm256_shuffle_epi8(all, (__m256i)(at | (int)0x80808000)));
+    }
     Eight v = (Eight)_mm256_permutevar8x32_ps((__m256)load<float, BLOCK>(p), (__m256i)at);
     if constexpr (FAR) {
         Eight w = (Eight)_mm256_permutevar8x32_ps((__m256)load<float, BLOCK>(p + BLOCK), (__m256i)at);
@@ -156,8 +160,8 @@ INLINE void sum_frames(const Frames<T>& f, const Windows& at, int before, Weight
 // Sample pixels k to k + n - 1 of a row: as linear or cubic samples, or spots where FILTER is AUTO. False where their
 // windows lie too far apart, or go beyond an edge.
 template <Filter FILTER, int C, bool SEVERAL, class T, int D, class MixOf>
-NOINLINE bool sample_block(const Frames<T>& f, const Row<D>& row, const Prints& prints, int k, int n, MixOf mix_of,
-                           Eight* sum) {
+NOINLINE bool sample_block(const Frames<T>& f, const Row<D>& row, const Prints& prints, int k, int n,
+                           const MixOf& mix_of, Eight* sum) {
     constexpr bool spots = FILTER == AUTO;
     constexpr int before = FILTER == LINEAR ? 0 : 1, taps = FILTER == LINEAR ? 2 : spots ? WINDOW : 4;
     Windows at((spots ? prints.x : row.whole[0]) + k, (spots ? prints.y : row.whole[1]) + k, n);

@@ -237,12 +237,13 @@ struct Mixing {
         : job(job), span(span), row(row), weight(weight), frames(frames), pairs(false) {
         if constexpr (D == 3) {
             if (job.between != BETWEEN_LINEAR || job.average) return;
-            int first = row.whole[2][0], last = first;
+            int first = row.whole[2][0], last = first, between = 0;
             for (int k = 0; k < row.count; k++) {
                 first = std::min(first, row.whole[2][k]);
                 last = std::max(last, row.whole[2][k]);
-                whole = whole && row.part[2][k] == 0;
+                between |= row.part[2][k] != 0;
             }
+            whole = !between;
             pairs = first >= span.first && last < span.last;
             for (int k = first; pairs && k <= last + 1; k++) pairs = frames[k - span.first] != nullptr;
         }

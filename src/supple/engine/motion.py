@@ -134,10 +134,10 @@ def motion_between(one: Grey, other: Grey) -> tuple[Floats, float]:
     slack = 0.2 + 1.5 * noise
     ratio = (np.maximum(moved - noise, 0) + slack) / (np.maximum(still - noise, 0) + slack)
     weight = np.clip(1.4 - 1.3 * ratio, 0, 1) * trust
+    v *= APART * (cv2.dilate(weight, np.ones((3, 3))) > 0)[..., None]
     # Nothing but noise: both frames show the same at the same place.
     weight[still < 1.25 * noise + 0.25] = 1
     v[still < 1.25 * noise + 0.25] = 0
-    v *= APART * (cv2.dilate(weight, np.ones((3, 3))) > 0)[..., None]
     fields[..., :2], fields[..., 2] = v, weight
     return fields, max(float(cv2.magnitude(*cv2.split(v)).max()), 1e-3)
 
@@ -176,7 +176,7 @@ class Motion:
         return slots, -(-(y1 - y0) // APART), -(-(x1 - x0) // APART), 4
 
     def between(self, pairs: range) -> Moving | None:
-        """Return the motion of all pairs k, k + 1 of a range, whose frames are in the window, and of no others."""
+        """Return the motion of all pairs k, k + 1 of a range, whose frames are in the window; None if all are mixed."""
         if min(self._moving.fields.shape[1:3]) < LEAST:
             return None
         for k in pairs:
@@ -188,7 +188,7 @@ class Motion:
         self._grey = {k: grey for k, grey in self._grey.items() if k >= pairs.start}
         slots = {k % len(self._pairs) for k in pairs}  # what planes before this one used plays no part
         longest = [length if slot in slots else 0.0 for slot, length in enumerate(self._moving.longest)]
-        return self._moving._replace(longest=longest)
+        return self._moving._replace(longest=longest) if any(longest) else None
 
     def _brightness(self, k: int) -> Any:
         """Return a frame's luma, or the mean of its first colours, averaged over 2 × 2 pixels."""
