@@ -24,11 +24,14 @@ class Spelling:
         Returns an argument by its name, with a value unless that is `Spelling.ANY`.
     none : str
         The name of None.
+    stroke : function of Stroke, optional
+        Returns what a stroke is called; by default, what it is, with all its numbers.
     """
 
     ANY = _ANY
     argument: Callable[[str, object], str]
     none: str = "None"
+    stroke: Callable[[Any], str] | None = None
 
 
 PYTHON = Spelling(lambda name, value: name if value is _ANY else f"{name}={value!r}")

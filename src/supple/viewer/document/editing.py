@@ -364,6 +364,10 @@ class Document:
             freeze = None
         self._edit(replace(self.state, rest=replace(self.state.rest, freeze=freeze)))
 
+    def restore(self) -> None:
+        """Remove all strokes, as one step."""
+        self._edit(replace(self.state, strokes=(), selected=None))
+
     def load(self, recipe: Recipe) -> None:
         """Replace the document by a recipe, as one step."""
         self._edit(self._state(recipe))

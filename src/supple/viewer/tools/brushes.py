@@ -8,6 +8,7 @@ from collections.abc import Callable
 from supple.viewer.document.editing import Document
 from supple.viewer.tools.drawing import Held, Pair, Place
 from supple.viewer.tools.gestures import Event, Tools, commanded, shifted
+from supple.viewer.tools.planes import holding
 from supple.viewer.tools.playback import Playback
 from supple.viewer.tools.viewport import UPRIGHT, Turn, Viewport
 
@@ -48,20 +49,20 @@ class ImageTools(Tools[Viewport]):
     def ring(self) -> float | None:
         """The brush's radius under the pointer, in logical pixels; None outside of the canvas."""
         held, pointer = self.held, self.pointer
-        if pointer is None or not all(p < n for p, n in zip(pointer, self.view.canvas_size, strict=True)):
+        if pointer is None or holding({0: self.place}, *pointer) is None:
             return None
         return (self.radius if held is None else held.stroke.radius) * self._scale(())
 
     @property
     def grip(self) -> Pair | None:
         """The position of the knob of the line of symmetry; None where that is not drawn."""
-        at = self.view.to_canvas(self.middle, self.middle)[0], self.view.canvas_size[1] - GRIP
+        at = self.view.to_canvas(self.middle, self.middle)[0], sum(self.place[1::2]) - GRIP
         return at if self.symmetric else None
 
     @property
     def place(self) -> Place:
         """The whole canvas."""
-        return (0.0, 0.0, *self.view.canvas_size)
+        return (0.0, self.view.top, *self.view.canvas_size)
 
     def _level(self, place: Pair) -> float:
         return self.view.to_image(*place)[self.across]
@@ -98,7 +99,8 @@ class ImageTools(Tools[Viewport]):
         return True
 
     def _on_resize(self, event: Event) -> bool:
-        self._look(self.view.resize((float(event["width"]), float(event["height"])), event.get("pixel_ratio")))
+        size = float(event["width"]), float(event["height"])
+        self._look(self.view.resize(size, event.get("pixel_ratio"), event.get("top", 0.0)))
         return True
 
 
