@@ -497,7 +497,8 @@ class FileCommands:
             raise SuppleError(f"cannot read {shown(path)}: there is no such file")
         if not self.windows:
             raise SuppleError(f"{shown(path)} needs a window of its own: supple view opens one, on a screen or --serve")
-        self._forget()
+        if self.beside is not None:
+            self.beside[1].close()
         said = tempfile.TemporaryFile()  # noqa: SIM115, it is read once the process ends
         words = [sys.executable, "-m", "supple", "view", os.fspath(path)]
         self.beside = subprocess.Popen(words, stderr=said, start_new_session=True), said, time.monotonic()
@@ -513,11 +514,7 @@ class FileCommands:
             lines = said.read().decode(errors="replace").strip().splitlines()
             self.message = lines[-1].removeprefix("supple: ") if lines else "the other window did not open"
         if process.poll() is not None or time.monotonic() - begun > BESIDE:
-            self._forget()
-
-    def _forget(self) -> None:
-        if self.beside is not None:
-            self.beside[1].close()
+            said.close()
             self.beside = None
 
     def begin_export(self, path: PathLike, *, force: bool = False) -> None:
@@ -550,7 +547,8 @@ class FileCommands:
         """End properly: the autosave of discarded strokes is deleted."""
         if self.choosing is not None:
             self.choosing[1].close()
-        self._forget()
+        if self.beside is not None:
+            self.beside[1].close()
         for task in (self.export, self.following and self.following[2]):
             if task is not None:
                 task.cancel()

@@ -420,13 +420,8 @@ def _grid(view: View, lines: imgui.ImDrawList) -> None:
     tools, document = view.tools, view.document
     assert isinstance(tools, ImageTools)
     left, top, width, height = tools.place
-    cut = left + width * (tools.split or 0.0)
-    parts = [(document.deformation, left, left + width)]
-    if tools.original:
-        parts = [(document.base, left, left + width)]
-    elif tools.split is not None:
-        parts = [(document.base, left, cut), (document.deformation, cut, left + width)]
-    for deformation, begin, end in parts:
+    cut = left + width * (1.0 if tools.original else tools.split or 0.0)
+    for deformation, begin, end in ((document.base, left, cut), (document.deformation, cut, left + width)):
         lines.push_clip_rect((begin, top), (end, top + height), True)
         for points in _bent_grid(deformation, tools.view):
             lines.add_polyline(points, col=_GRID, thickness=1.0, flags=imgui.ImDrawFlags_.none)

@@ -92,7 +92,6 @@ def _seeing(view: View) -> None:
     label("Frozen", "The colour over what is frozen, and its opacity: 0 for none")
     flags = imgui.ColorEditFlags_.no_inputs | imgui.ColorEditFlags_.alpha_bar
     changed, colour = imgui.color_edit4("##veil", list(view.veil_colour), flags)
-    hint("The colour over what is frozen, and its opacity: 0 for none")
     if changed:
         view.veil_colour = (colour[0], colour[1], colour[2], colour[3])
     if imgui.is_item_deactivated_after_edit():

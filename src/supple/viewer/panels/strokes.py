@@ -126,11 +126,9 @@ def brush(view: View) -> None:
         wide = 0.5 * (imgui.get_content_region_avail().x - imgui.get_style().item_spacing.x)
         if toggle("Next stroke", not own, wide):
             view.own = False
-        hint("What the next drag makes")
         imgui.same_line()
         if toggle(f"Stroke {i + 1}###own", own, wide):
             view.own = True
-        hint("The selected stroke, by its numbers")
     imgui.push_id("own" if own else "next")
     if own and i is not None:
         _selected(view, i)
@@ -142,10 +140,7 @@ def brush(view: View) -> None:
 def _next(view: View) -> None:
     tools = view.tools
     if tools.pen and tools.brush not in ("pin", *MASKS):
-        label(
-            "Pen",
-            "How much of a stroke is made, by the greatest pressure of its drag; of a painting, by the present one",
-        )
+        label("Pen", "How much of a stroke is made: by the greatest pressure of its drag; of a painting, the present")
         changed, pressing = imgui.checkbox("pressure sets strength", tools.pressing)
         if changed:
             tools.pressing = pressing
