@@ -20,7 +20,7 @@ from typing import IO, Any, Protocol
 
 import numpy as np
 
-from supple.errors import SuppleError, shown, spelling
+from supple.errors import SuppleError, facing, shown
 from supple.files import Job
 from supple.files.clips import is_picture_target
 from supple.files.freezing import read_freeze, write_freeze
@@ -347,7 +347,7 @@ class FileCommands:
         """Call a function, and show its error in the status line."""
         try:
             self.message = ""
-            with spelling(WINDOW):
+            with facing(WINDOW):
                 work()
         except SuppleError as error:
             self.message = str(error)
@@ -398,7 +398,7 @@ class FileCommands:
             return True
         try:
             if choice != "Cancel":
-                with spelling(WINDOW):
+                with facing(WINDOW):
                     self._do(asked, choice)
             if self.asked is asked:
                 self.asked = None

@@ -14,7 +14,7 @@ from typing import Any
 from imgui_bundle import imgui
 from wgpu.utils.imgui import ImguiRenderer, ImguiWgpuBackend
 
-from supple.errors import SuppleError, spelling
+from supple.errors import SuppleError, facing
 from supple.gpu.device import Gpu
 from supple.gpu.screen import Screen
 from supple.viewer.document.words import WINDOW
@@ -177,7 +177,7 @@ class Waking:
 @contextlib.contextmanager
 def unbroken() -> Iterator[None]:
     """Delay Ctrl+C, and what terminates, until the end of a frame, so that it has a canvas; name what is in it."""
-    with spelling(WINDOW), _held((signal.SIGINT, *_ENDS), lambda: None):
+    with facing(WINDOW), _held((signal.SIGINT, *_ENDS), lambda: None):
         yield
 
 
