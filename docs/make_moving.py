@@ -64,6 +64,7 @@ class Hand:
         self.canvas = RenderCanvas(size=size, pixel_ratio=ratio)
         self.view: Any = opened(source, recipe, self.canvas, Still(), options=options or ViewOptions())
         self.canvas.set_title("")
+        self.view.hinted = True  # the first hints lie over pictures
         self.place: Pair = (SIZE[0] * 0.3, SIZE[1] * 0.8)
         self.buttons: tuple[int, ...] = ()
         self.says = ""
@@ -71,7 +72,9 @@ class Hand:
         self.canvas.draw()  # which lays the picture out
         paint = self.view.painter.paint
         # All is drawn in full, as a hardware GPU does.
-        self.view.painter.paint = lambda shot, *more: paint(replace(shot, moving=False), *more)
+        self.view.painter.paint = lambda shot, *more: paint(
+            replace(shot, sight=replace(shot.sight, solved=True)), *more
+        )
 
     def send(self, kind: str, **event: Any) -> None:
         """Let something happen where the hand is."""
@@ -307,8 +310,7 @@ def history(path: Path) -> None:
     """A clip on a screen of small pixels: steps that were undone."""
     hand = Hand(DATA / "bunny.mp4", Recipe(border=None), (1280, 720), 2.0)
     view, document = hand.view, hand.view.document
-    view.sections |= {"Brush": False, "View": False, "Accuracy": False, "Selected stroke": False}
-    view.sections |= {"History": True, "Recipe": True}
+    view.sections |= {"Brush": False, "View": False, "History": True}
     view.tools.playback.seek(38)
     view.tools.radius = 30.0
     for key, at, by in (("g", (350, 120), (30, -20)), ("w", (330, 90), (20, 0)), ("n", (250, 200), (0, 20))):

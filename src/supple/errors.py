@@ -26,12 +26,15 @@ class Spelling:
         The name of None.
     first : int
         The number of the first frame of a clip.
+    stroke : function of Stroke, optional
+        Returns what a stroke is called; by default, what it is, with all its numbers.
     """
 
     ANY = _ANY
     argument: Callable[[str, object], str]
     none: str = "None"
     first: int = 0
+    stroke: Callable[[Any], str] | None = None
 
 
 PYTHON = Spelling(lambda name, value: name if value is _ANY else f"{name}={value!r}")

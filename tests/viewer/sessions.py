@@ -10,6 +10,7 @@ import numpy as np
 import supple
 from supple.cli import command
 from supple.strokes import Recipe, Stroke
+from supple.viewer.panels.view import TOP
 from supple.viewer.tools.viewport import Viewport
 from tests.viewer.windows import Pixels
 
@@ -46,7 +47,7 @@ def warped(source: Path, name: str, recipe: Path, *options: str) -> Path:
 def on_canvas(picture: Pixels, seen: Pixels, area: tuple[int, int], strokes: tuple[Stroke, ...]) -> float:
     """How far a picture is from what a window shows of it at 100 %, beside its handles."""
     height, width = picture.shape[:2]
-    viewport = Viewport((width, height), area).actual()
+    viewport = Viewport((width, height), area, top=TOP).actual()
     left, top = (round(v) for v in viewport.to_canvas(0, 0))
     assert left >= 0
     assert top >= 0

@@ -27,7 +27,7 @@ pytest.importorskip("rendercanvas")
 DATA = Path(supple.__file__).parent / "examples" / "data"
 FLAT = (Stroke(at=(200, 120), by=(20, 10), radius=40), Stroke(at=(100, 90), by=(-10, 10), radius=30))
 DEEP = (Stroke(at=(20, 60, 60), by=(3, 0, 1), radius=20),)
-CLICKED: set[str] = set()  # controls that a medium before has as well
+CLICKED: set[tuple[bool, str]] = set()  # controls that a medium before has as well
 
 
 @pytest.fixture(autouse=True)
@@ -48,7 +48,6 @@ def seen(monkeypatch: pytest.MonkeyPatch) -> dict[str, tuple[float, float]]:
 SECTIONS = (
     "Brush",
     "Strokes",
-    "Selected stroke",
     "Volume",
     "View",
     "Folds and border",
@@ -79,19 +78,25 @@ def test_every_control_can_be_clicked(gpu: Gpu, seen: dict[str, tuple[float, flo
     # All of the panel, and little beside it: a program takes its time for each pixel.
     view, hand = opened(source, Recipe(border=None, strokes=strokes), size=(WIDE + 120, 1400))
     view.document.select(0)
-    hand.canvas.draw()
-    labels = list(seen)
+    pairs = []
+    for own in (False, True):  # the numbers of the brush, and of the stroke
+        seen.clear()
+        view.own = own
+        hand.canvas.draw()
+        pairs += [(own, label) for label in seen]
+    labels = [label for _, label in pairs]
     wanted = {"invisible_button undo", "button Delete", "combo ##overlay", "button Export \u2026", "begin_menu File"}
     assert wanted <= set(labels)
     assert {label.rpartition("#")[2] for label in labels if "header" in label} >= set(SECTIONS) - {"Volume"}
     assert len(labels) > 40
-    for label in labels:
-        if label in CLICKED:
+    for own, label in pairs:
+        if (own, label) in CLICKED:
             continue
-        CLICKED.add(label)
+        CLICKED.add((own, label))
         view.commands.asked = None
         view.document.load(Recipe(border=None, strokes=strokes))
         view.document.select(0)
+        view.own = own
         view.sections |= dict.fromkeys(SECTIONS, True)  # what was folded is opened again
         hand.pass_frame()
         before = view.document.state
@@ -112,11 +117,12 @@ def test_what_goes_wrong_does_not_kill_the_window(gpu: Gpu, monkeypatch: pytest.
     view, hand = opened(DATA / "coffee.jpg", Recipe(border=None))
     whole = hand.canvas.draw()
 
-    def broken(view: Any) -> None:
+    def broken(view: Any, i: int) -> None:
         imgui.begin_child("half", (0, 50))
         raise ValueError("of its own")
 
-    monkeypatch.setattr("supple.viewer.panels.strokes.selected", broken)
+    monkeypatch.setattr("supple.viewer.panels.strokes._selected", broken)
+    view.own = True
     for k in range(3):
         hand.drag((200 + 20 * k, 300), (220 + 20 * k, 310))
     assert view.commands.message == "ValueError: of its own"
@@ -383,8 +389,9 @@ def test_a_number_that_is_typed_counts_when_it_is_left(
 ) -> None:
     view, hand = opened(DATA / "coffee.jpg", Recipe(border=None, strokes=FLAT), size=(SIZE[0], 1400))
     view.document.select(0)
+    view.own = True
     hand.canvas.draw()
-    place = seen["input_float ##radius own"]
+    place, before = seen["input_float ##at0"], FLAT[0].at[0]
     hand.click(place)
     hand.modifiers = ("Control",)
     hand.send("key_down", key="a")
@@ -393,25 +400,26 @@ def test_a_number_that_is_typed_counts_when_it_is_left(
     hand.modifiers = ()
     hand.canvas.draw()
     type_(hand, "61")
-    assert view.document.strokes[0].radius == 40  # not yet
+    assert view.document.strokes[0].at[0] == before  # not yet
     if leaving == "elsewhere":
         hand.click((SIZE[0] - 5, 1300))
     else:
         hand.key(leaving)
     for _ in range(3):
         hand.canvas.draw()
-    assert view.document.strokes[0].radius == 61
+    assert view.document.strokes[0].at[0] == 61
     assert view.typed == {}
     view.document.undo()
-    assert view.document.strokes[0].radius == 40  # it is one step
+    assert view.document.strokes[0].at[0] == before  # it is one step
     view.document.mark_saved()
 
 
 def test_options_of_an_export(gpu: Gpu, seen: dict[str, tuple[float, float]], tmp_path: Path) -> None:
     stroke = Stroke(at=(120, 80, 4), by=(14, 6, 0), radius=40)
     view, hand = opened(DATA / "bunny.mp4", Recipe(border=None, strokes=(stroke,)), size=(SIZE[0], 1600))
-    view.sections["Export options"] = True
-    hand.canvas.draw()
+    view.commands.ask("export")
+    for _ in range(3):
+        hand.canvas.draw()
     for field, text in (("input_text ##codec", "ffv1"), ("input_float ##time scale", "3")):
         hand.click(seen[field])
         hand.modifiers = ("Control",)
@@ -424,6 +432,8 @@ def test_options_of_an_export(gpu: Gpu, seen: dict[str, tuple[float, float]], tm
         hand.key("Enter")
         hand.canvas.draw()
     hand.click(seen["checkbox ##time filter"])
+    assert view.commands.export is None  # Enter in a field of options is for that
+    assert view.commands.asked.name == "export"
     clip = view.commands.options["clip"]
     assert (clip.codec, clip.crf, clip.time_scale, clip.time_filter) == ("ffv1", None, 3.0, True)
     view.commands.begin_export(tmp_path / "out.mkv")

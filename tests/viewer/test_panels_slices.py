@@ -18,6 +18,7 @@ from supple.media import volume as volumes
 from supple.render.camera import Camera
 from supple.strokes import Recipe, Stroke
 from supple.viewer.panels.slices import SOFT_TISSUE, first_window, turned
+from supple.viewer.panels.view import TOP
 from supple.viewer.tools.planes import RENDERED, planes_of
 from tests import effort
 from tests.viewer.windows import opened
@@ -87,7 +88,7 @@ def status(view: Any) -> str:
 
 def test_the_canvas_shows_planes_the_way_they_are_seen(gpu: Gpu, tmp_path: Path) -> None:
     """Each voxel's centre has the grey of its value, in each plane, before and after."""
-    view, hand = opened(DATA / "head.nii.gz", Recipe(strokes=(PULL,)), size=(960, 640))
+    view, hand = opened(DATA / "head.nii.gz", Recipe(strokes=(PULL,)), size=(960, 664))
     tools, bent = view.tools, view.document.deformation
     view.write(str(tmp_path / "seen.png"), True)
     seen = image.read(tmp_path / "seen.png").pixels
@@ -102,17 +103,19 @@ def test_the_canvas_shows_planes_the_way_they_are_seen(gpu: Gpu, tmp_path: Path)
             point[plane.across], point[plane.down] = float(step), float(step + 3)
             x, y = pane.to_canvas(tuple(point))
             grey = 255 * (values[int(point[rest[0]]), int(point[rest[1]])] - low) / (high - low)
+            y -= TOP
             found = seen[int(y), int(x)].astype(float)
             around = np.ptp(seen[int(y) - 2 : int(y) + 3, int(x) - 2 : int(x) + 3].astype(float))
             assert found == pytest.approx(np.full(3, min(max(grey, 0), 255)), abs=3 + 0.5 * around)
     # What is saved is what is on the canvas, but for what lies over it.
-    area = np.s_[: seen.shape[0], : seen.shape[1]]
+    area = np.s_[TOP : TOP + seen.shape[0], : seen.shape[1]]
     assert (np.abs(canvas[area][..., :3].astype(int) - seen.astype(int)).max(axis=-1) > 8).mean() < 0.05
     hand.key("b")
     hand.canvas.draw()
     view.write(str(tmp_path / "split.png"), True)
     split = image.read(tmp_path / "split.png").pixels.astype(int)
     left, top, width, height = (int(v) for v in tools.places[2])
+    top -= TOP
     before, after = np.s_[top : top + height, left : left + width // 2 - 4], np.s_[top:, left + width // 2 + 4 :]
     assert np.abs(split[after] - seen[after]).max() <= 1
     assert np.abs(split[before] - seen[before]).mean() > 0.1
@@ -202,7 +205,7 @@ def test_a_click_on_the_cube_that_is_drawn_looks_from_there(gpu: Gpu) -> None:
     view, hand = opened(DATA / "head.nii.gz", size=(900, 600))
     view.tools.view = Camera(30, 20)
     for face in view.tools.cube:
-        hand.move(5, 5)
+        hand.move(5, 40)
         x, y = (np.array(face.middle) + 0.6 * (np.array(face.corners[0]) - face.middle)).astype(int)
         shade = hand.canvas.draw()[y, x, :3]
         assert np.ptp(shade) == 0  # grey, and lit

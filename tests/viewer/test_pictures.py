@@ -15,6 +15,7 @@ from PIL import Image, ImageCms
 from supple.gpu.device import Gpu
 from supple.media.image import read
 from supple.viewer.panels.transforms import on_screen
+from supple.viewer.panels.view import TOP
 from tests.viewer.windows import opened, wait_for
 
 Array = np.ndarray[Any, Any]
@@ -148,7 +149,7 @@ def test_a_window_shows_it_and_exports_its_values(
     hand.key("1")
     place = view.tools.view.to_canvas(0, 0)
     left, top = round(place[0]), round(place[1])
-    seen = view.pixels()[top + 10 : top + 30, left + 10 : left + 50].astype(float)
+    seen = view.pixels()[top - TOP + 10 : top - TOP + 30, left + 10 : left + 50].astype(float)
     colours = np.broadcast_to(wanted[..., :3], (40, 60, 3))[10:30, 10:50].astype(float)
     if wanted.shape[2] == 3 or name.endswith("grey.png"):
         np.testing.assert_allclose(seen, colours, atol=LOSSY.get(path.suffix, 2.0) + 1)

@@ -205,6 +205,7 @@ class TestPaintings:
 
     def test_their_many_points_are_no_handles(self) -> None:
         tools = image(BENT)
+        tools.radius = 25
         press(tools, "r")
         drag(tools, (341, 201), (381, 201))
         assert tools.document.selected == 1
@@ -229,6 +230,7 @@ class TestPaintings:
         drag(film, (341, 201), (341, 201))
         assert film.document.strokes[1].at == (170, 100, 5)
         solid = bench(np.eye(3), "LPS", Stroke(at=(30, 25, 20), by=(6, 0, 0), radius=12))
+        solid.radius *= 1.5
         x, y = solid.pane(0).to_canvas((36, 25, 20))
         move(solid, x, y, buttons=())
         press(solid, "r")

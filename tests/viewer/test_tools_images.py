@@ -259,9 +259,37 @@ class TestImages:
         tools = image()
         assert not tools.handle({"event_type": "char", "data": "a"})
         assert not tools.handle({"event_type": "double_click", "x": 1, "y": 1})
-        assert not down(tools, 10, 10, button=RIGHT)
+        assert not down(tools, 10, 10, button=5)
         assert not up(tools, 10, 10)
         assert not press(tools, "F7")
+
+    def test_a_right_drag_sets_the_size_of_the_brush(self) -> None:
+        tools = image()
+        tools.radius = 20
+        ring = tools.extent[0] * 20 * 2  # logical pixels
+        down(tools, 201, 101, button=RIGHT)
+        assert tools.sizing == (201, 101)
+        move(tools, 201 + ring, 130, buttons=(RIGHT,))  # its edge follows the pointer
+        assert tools.radius == pytest.approx(40)
+        up(tools, 201 + ring, 130, button=RIGHT)
+        assert tools.sizing is None
+        down(tools, 201, 101, button=RIGHT)
+        move(tools, 0, 101, buttons=(RIGHT,))
+        assert tools.radius < 40
+        press(tools, "Escape")
+        assert tools.radius == pytest.approx(40)
+        assert tools.document.strokes == ()
+
+    def test_handles_can_be_hidden(self) -> None:
+        tools = image(Stroke(at=(100, 50), by=(20, 0), radius=20))
+        tools.document.select(0)
+        assert len(tools.handles()) == 2
+        press(tools, "h", "Control")
+        assert tools.handles() == []
+        drag(tools, (241, 101), (251, 101))  # where one was: another stroke
+        assert len(tools.document.strokes) == 2
+        press(tools, "h", "Control")
+        assert tools.handles()
 
     def test_one_button_at_a_time(self) -> None:
         tools = image()

@@ -13,6 +13,7 @@ from supple.gpu.plate import OVERLAYS, Plate, Sight
 from supple.gpu.screen import canvas_texture, pixels_of
 from supple.strokes import Recipe, Stroke
 from supple.viewer.panels.stages import Levels, Warped, changed
+from supple.viewer.panels.view import TOP
 from tests.viewer.windows import Hand, opened
 
 pytest.importorskip("rendercanvas")
@@ -199,7 +200,7 @@ def at_actual_size(view: Any, hand: Hand, pixels: np.ndarray) -> np.ndarray:
     """Show the middle of a photograph at 100 %; return the position of the first pixel on the canvas."""
     hand.key("1")
     hand.canvas.draw()
-    return np.array(view.tools.view.to_image(0.5, 0.5)).round().astype(int)
+    return np.array(view.tools.view.to_image(0.5, TOP + 0.5)).round().astype(int)
 
 
 @pytest.mark.parametrize("software", [True, False])

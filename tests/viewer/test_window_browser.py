@@ -13,7 +13,7 @@ import pytest
 from supple.gpu.device import Gpu
 from supple.media import image
 from supple.strokes import Stroke
-from supple.viewer.panels.view import LINE, WIDE
+from supple.viewer.panels.view import LINE, TOP, WIDE
 from tests.viewer.sessions import near, on_canvas, recipe_in, warped
 from tests.viewer.windows import Browser, Pixels, needs, small_photo, viewing, wait_for
 
@@ -97,7 +97,7 @@ def test_a_photograph_in_a_browser(gpu: Gpu, photo: Path, state: Path) -> None:
 
         def away(picture: Pixels) -> float:
             seen = browser.shown()
-            return on_canvas(picture, seen, (seen.shape[1] - WIDE, seen.shape[0] - LINE), strokes)
+            return on_canvas(picture, seen, (seen.shape[1] - WIDE, seen.shape[0] - TOP - LINE), strokes)
 
         undone_and_opened(browser, lambda: away(wanted) < 5, lambda: away(before) < 5)
         assert away(before) > 8
@@ -182,6 +182,22 @@ def test_a_pen_in_a_browser(gpu: Gpu, page: Page) -> None:
     for stroke in (even, peak):
         np.testing.assert_allclose(stroke.by, 0.75 * np.array(mouse.by), rtol=0.01)
     np.testing.assert_array_equal(image.read(made).pixels, image.read(warped(photo, "wanted.png", saved)).pixels)
+
+
+def test_a_finger_in_a_browser(gpu: Gpu, page: Page) -> None:
+    browser, photo, _ = page
+    saved = photo.with_name("photo.recipe.json")
+    places = [(350 + 10 * k, 300 - 5 * k) for k in range(7)]
+    for kind, at in (("touchStart", places[0]), *(("touchMove", at) for at in places[1:])):
+        browser.call("Input.dispatchTouchEvent", type=kind, touchPoints=[{"x": at[0], "y": at[1]}])
+        time.sleep(0.1)
+    browser.call("Input.dispatchTouchEvent", type="touchEnd", touchPoints=[])
+    time.sleep(1)
+    browser.key("s", 83, 2)
+    wait_for(lambda: browser.key("Enter", 13) or saved.exists(), every=0.5)
+    (stroke,) = recipe_in(saved).strokes
+    assert stroke.by[0] == pytest.approx(-2 * stroke.by[1], rel=0.02)
+    assert stroke.strength == 1  # a finger has no pressure of its own
 
 
 # What the browser would do with a key, or a click, is asked of the event once all have heard it.

@@ -108,7 +108,8 @@ def test_a_volume_is_twisted_in_a_plane_and_on_the_object(gpu: Gpu, volume: Path
 
 
 def test_the_rendering_is_what_the_command_line_makes(gpu: Gpu, volume: Path) -> None:
-    view, hand = opened(volume, size=(660, 400))
+    view, hand = opened(volume, size=(660, 424))
+    view.tools.radius *= 1.5
     hand.key("4")
     width, height = (round(n) for n in view.area)
     hand.drag((width / 2 - 20, height / 2), (width / 2 + 20, height / 2 - 30))

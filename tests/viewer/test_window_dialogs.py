@@ -76,10 +76,14 @@ def test_what_a_dialog_answers_is_done(desk: Any, tmp_path: Path) -> None:
 def test_a_name_that_cannot_be_is_typed_again(desk: Any, tmp_path: Path) -> None:
     commands, opened = desk
     commands.ask("export")
+    assert not opened  # the window has its options
+    commands.browse()
+    assert len(opened) == 1
     opened[-1][1].says = str(tmp_path / "a.xyz")
     commands.tick()
     assert commands.asked.name == "export"
     assert commands.asked.path == str(tmp_path / "a.xyz")
+    assert not commands.answer("Export")
     assert "the suffix .xyz is no image format" in commands.asked.problem
     commands.end()
 

@@ -15,8 +15,9 @@ from supple.errors import SuppleError
 from supple.gpu.device import Gpu
 from supple.media import image
 from supple.strokes import Recipe, Stroke
+from supple.viewer.panels.view import TOP
 from tests.clips import make
-from tests.viewer.windows import Hand, opened, small_photo, wait_for
+from tests.viewer.windows import Hand, in_pixels, opened, small_photo, wait_for
 
 pytest.importorskip("rendercanvas")
 pytest.importorskip("imgui_bundle")
@@ -87,7 +88,7 @@ def test_what_is_saved_is_the_frame_that_is_shown_and_both_halves(gpu: Gpu, long
     view.write(str(tmp_path / "saved.png"), False)
     saved = image.read(tmp_path / "saved.png").pixels[..., :3].astype(int)
     lower = saved.shape[0] - 40  # the ring and the handles lie over the canvas alone
-    apart = np.abs(saved[:lower] - seen[:lower, : saved.shape[1]]).max(axis=-1)
+    apart = np.abs(saved[:lower] - seen[TOP : TOP + lower, : saved.shape[1]]).max(axis=-1)
     assert np.percentile(apart, 97) <= 3
     middle = saved.shape[1] // 2
     assert (saved[:, middle] == 255).all()
@@ -193,9 +194,9 @@ def test_the_value_under_the_pointer_is_what_is_seen_there(gpu: Gpu, monkeypatch
     stroke = Stroke.grab((300, 200), by=(120, 40), radius=90)
     view, hand = opened(ramp, Recipe(border=None, strokes=(stroke,)))
     hand.key("1")
-    x, y = view.tools.view.to_canvas(420, 240)
-    hand.move(x, y)
-    seen = [int(v) for v in view.pixels()[round(y), round(x)]]
+    hand.move(*view.tools.view.to_canvas(420, 240))
+    x, y = in_pixels(view, 420, 240)
+    seen = [int(v) for v in view.pixels()[y, x]]
 
     def said() -> list[int]:
         return [int(v) for v in status(view).split("   |   ")[1].split()]

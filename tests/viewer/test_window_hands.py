@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,7 @@ import supple
 from supple.gpu.device import Gpu
 from supple.media import image
 from supple.strokes import Recipe, Stroke
-from supple.viewer.panels.view import WIDE
+from supple.viewer.panels.view import LINE, TOP, WIDE
 from tests.viewer.windows import SIZE, Hand, Pixels, opened
 
 pytest.importorskip("rendercanvas")
@@ -72,7 +73,7 @@ def test_a_screen_of_small_pixels_shows_the_same_twice_as_sharp(gpu: Gpu, photo:
     bright = large.min(-1) > 200
     y, x = np.nonzero(bright[:1200, :1280])
     away = np.hypot(x / 2 - 350, y / 2 - 400)
-    radius = one.radius * min((SIZE[0] - WIDE) / 400, (SIZE[1] - 24) / 300)
+    radius = one.radius * min((SIZE[0] - WIDE) / 400, (SIZE[1] - TOP - LINE) / 300) * view.tools.extent[0]
     ring = np.abs(away - radius) < 2
     assert ring.sum() > 2 * np.pi * radius
     # Letters are drawn anew for such a screen, not enlarged: their edges are as steep.
@@ -104,7 +105,10 @@ def test_another_file_that_is_dropped_has_a_window_of_its_own(
 ) -> None:
     window, _ = view
     begun: list[list[str]] = []
-    monkeypatch.setattr("supple.viewer.document.files.subprocess.Popen", lambda words, **options: begun.append(words))
+    running = SimpleNamespace(poll=lambda: None)
+    monkeypatch.setattr(
+        "supple.viewer.document.files.subprocess.Popen", lambda words, **options: begun.append(words) or running
+    )
     window.drop([str(DATA / "head.nii.gz")])
     assert begun[0][1:] == ["-m", "supple", "view", str(DATA / "head.nii.gz")]
     assert "window of its own" in window.commands.message

@@ -16,7 +16,7 @@ from supple.gpu.device import Gpu
 from supple.media import image
 from supple.viewer.panels.overlay import status
 from tests.clips import decoded, make, rows
-from tests.viewer.windows import Hand, opened, wait_for, watch
+from tests.viewer.windows import Hand, in_pixels, opened, wait_for, watch
 
 imgui = pytest.importorskip("imgui_bundle").imgui
 pytest.importorskip("rendercanvas")
@@ -150,6 +150,7 @@ def test_the_panel_animates_a_stroke(gpu: Gpu, clip: Path, boxes: Boxes) -> None
     hand.canvas.draw()
     x, y = view.tools.view.to_canvas(300, 150)
     hand.drag((x, y), (x + 40, y))
+    view.own = True
     stroke = view.document.strokes[0]
     assert len(stroke.at) == 2
     assert "##lane" in boxes
@@ -164,7 +165,7 @@ def test_the_panel_animates_a_stroke(gpu: Gpu, clip: Path, boxes: Boxes) -> None
     assert [k.frame for k in view.document.strokes[0].keys] == [3, 10]
     assert view.document.strokes[0].keys[1].at == pytest.approx((stroke.at[0] + 30, stroke.at[1] + 20), abs=30)
     hand.click(middle(boxes, "strength"))
-    (x0, y0), (x1, y1) = boxes["##strength own"]
+    (x0, y0), (x1, y1) = boxes["##strength"]
     hand.drag((x1 - 5, (y0 + y1) / 2), (x0 + 0.25 * (x1 - x0), (y0 + y1) / 2))
     hand.canvas.draw()
     assert keys(view)[1][2] == pytest.approx(0.25, abs=0.06)
@@ -195,7 +196,7 @@ def test_what_is_seen_is_what_an_export_makes(gpu: Gpu, clip: Path, tmp_path: Pa
         keys=(Key(0, at=(200, 250)), Key(15, at=(260, 200))),
     )
     recipe = Recipe(strokes=(MOVING, twist))
-    view, hand = opened(clip, recipe, size=(640 + 348, 360 + 130))
+    view, hand = opened(clip, recipe, size=(640 + 348, 360 + 154))
     made = warp_file(clip, tmp_path / "out" / "%03d.png", recipe, hold=1)
     assert made.frames == 16
     hand.key("1")
@@ -207,7 +208,7 @@ def test_what_is_seen_is_what_an_export_makes(gpu: Gpu, clip: Path, tmp_path: Pa
         view.tools.original = True
         flat = view.pixels().astype(int)
         view.tools.original = False
-        x, y = (round(v) for v in view.tools.view.to_canvas(0, 0))
+        x, y = in_pixels(view, 0, 0)
         rows, columns = seen.shape[:2]
         part = slice(max(-y, 0) + 8, min(360, rows - y) - 8), slice(max(-x, 0) + 8, min(640, columns - x) - 8)
         moved = tuple(slice(s.start + d, s.stop + d) for s, d in zip(part, (y, x), strict=True))
@@ -287,6 +288,7 @@ def test_a_stroke_follows_its_point_in_the_background(
     stroke = Stroke(at=(345, 58), by=(20, 10), radius=40, keys=(Key(2, strength=0.5), Key(9, strength=1)))
     view, hand = opened(clip, Recipe(strokes=(stroke,)), size=(1000, 1000))
     view.document.select(0)
+    view.own = True
     view.tools.playback.seek(10)
     hand.canvas.draw()
     (found,) = supple.track(clip, [(345, 58, 10)])
@@ -344,19 +346,23 @@ def test_a_plateau_and_a_radius_in_time_are_set_in_the_panel(gpu: Gpu, clip: Pat
     stroke = Stroke(at=(300, 150, 8), by=(20, 10, 2), radius=40)
     view, hand = opened(clip, Recipe(strokes=(stroke,)), size=(1000, 1000))
     view.document.select(0)
+    view.own = True
     hand.canvas.draw()
-    hand.click(middle(boxes, "##limited time radius own"))
+    hand.click(middle(boxes, "##limited frames"))
     assert view.document.strokes[0].time_radius == 2.0  # of a drag of 2 frames, and 16 frames
     hand.canvas.draw()
-    (x0, y0), (x1, y1) = boxes["##time radius own"]
+    (x0, y0), (x1, y1) = boxes["##frames"]
     hand.click(((x0 + x1) / 2, (y0 + y1) / 2))
     assert view.document.strokes[0].time_radius == pytest.approx(4.25, abs=0.5)
-    (x0, y0), (x1, y1) = boxes["##flat own"]
+    assert len(view.document.steps) == 3
+    (x0, y0), (x1, y1) = boxes["##flat"]
     hand.click(((x0 + x1) / 2, (y0 + y1) / 2))
     assert view.document.strokes[0].flat == pytest.approx(0.45, abs=0.05)
-    hand.click(middle(boxes, "##limited time radius own"))
+    hand.click(middle(boxes, "##limited frames"))
     assert view.document.strokes[0].time_radius is None
-    hand.click(middle(boxes, "##limited time radius"))
+    view.own = False
+    hand.canvas.draw()
+    hand.click(middle(boxes, "##limited frames"))
     view.tools.flat = 0.5
     view.document.select(None)
     x, y = view.tools.view.to_canvas(200, 200)

@@ -11,7 +11,7 @@ import pytest
 from supple.gpu.device import Gpu
 from supple.media import image
 from supple.strokes import Recipe
-from supple.viewer.panels.view import BAR, LINE, WIDE
+from supple.viewer.panels.view import BAR, LINE, TOP, WIDE
 from supple.viewer.window.launch import SIZE
 from tests.viewer.sessions import near, on_canvas, recipe_in, warped
 from tests.viewer.windows import Pixels, a_screen, viewing, wait_for
@@ -19,14 +19,14 @@ from tests.viewer.windows import Pixels, a_screen, viewing, wait_for
 pytest.importorskip("rendercanvas")
 pytest.importorskip("imgui_bundle")
 pytest.importorskip("glfw")
-AREA = (SIZE[0] - WIDE, SIZE[1] - LINE)
+AREA = (SIZE[0] - WIDE, SIZE[1] - TOP - LINE)
 
 
 def edited(source: Path, stem: str, target: str) -> tuple[Pixels, Recipe]:
     """Drag, undo, redo, save, export and open, by hand; what is seen of two strokes, and the recipe that was saved."""
     folder = source.parent
     saved, made = folder / f"{stem}.recipe.json", folder / target
-    on_it = np.s_[: AREA[1] - BAR, : AREA[0]]
+    on_it = np.s_[TOP : AREA[1] - BAR, : AREA[0]]
     with a_screen(folder / "screen") as mouse, viewing(str(source), folder=folder, display=mouse.display):
         mouse.settled()
         mouse.do("key", "1")

@@ -14,7 +14,8 @@ import pytest
 from supple.gpu.device import Gpu
 from supple.strokes import Recipe
 from supple.viewer.panels.stages import FrameCache
-from tests.viewer.windows import Hand, opened, wait_for
+from supple.viewer.panels.view import TOP
+from tests.viewer.windows import Hand, in_pixels, opened, wait_for
 
 pytest.importorskip("rendercanvas")
 pytest.importorskip("imgui_bundle")
@@ -77,7 +78,7 @@ def settled(view: Any, hand: Hand) -> np.ndarray:
     wait_for(lambda: hand.canvas.draw() is not None and view.painter.ready, 30.0, every=0.02)
     view._changed_at = -10.0
     width, height = (round(n) for n in view.area)
-    return np.asarray(hand.canvas.draw())[:height, :width, :3].astype(int)
+    return np.asarray(hand.canvas.draw())[TOP : TOP + height, :width, :3].astype(int)
 
 
 def extent(view: Any, hand: Hand) -> tuple[int, int]:
@@ -90,7 +91,7 @@ def bend(view: Any, hand: Hand) -> None:
     """Pull, and twist, something in the window."""
     view.tools.radius = 30
     width, height = view.area
-    x, y = width / 2, height / 2
+    x, y = width / 2, TOP + height / 2
     hand.drag((x - 30, y - 20), (x + 25, y - 45), steps=1)
     hand.key("t")
     hand.drag((x + 20, y + 30), (x + 40, y + 35), steps=1)
@@ -99,6 +100,7 @@ def bend(view: Any, hand: Hand) -> None:
 def frozen(view: Any, hand: Hand) -> np.ndarray:
     """Freeze something in the window; what is drawn with the pointer at rest on the picture."""
     x, y = (n / 2 for n in view.area)
+    y += TOP
     hand.key("c")
     hand.drag((x - 60, y + 40), (x - 20, y + 50), steps=1)
     hand.key("Escape")
@@ -144,7 +146,7 @@ def test_a_drag_begins_and_ends_where_the_pointer_is(gpu: Gpu, tmp_path: Path, n
     (stroke,) = view.recipe.strokes
     assert stroke.at == pytest.approx((40, 25, 0))
     assert view.document.deformation.forward((40.0, 25.0, 0.0))[:2] == pytest.approx((95, 70), abs=0.1)
-    (u, v), (x, y) = (map(round, place) for place in (start, end))
+    (u, v), (x, y) = (in_pixels(view, *point) for point in ((40, 25), (95, 70)))
     assert np.abs(view.pixels()[y, x].astype(int) - before[v, u]).max() <= 10
     assert np.abs(before[y, x].astype(int) - before[v, u]).max() > 50
 
@@ -166,7 +168,7 @@ def test_pixels_are_as_wide_as_the_clip_says(
     assert extent(view, hand) == shown
     seen = settled(view, hand).astype(int)
     for point in [(40, 40), (200, 100), (100, 150)]:
-        x, y = (round(n) for n in view.tools.view.to_canvas(*point))
+        x, y = in_pixels(view, *point)
         assert np.abs(seen[y, x] - frame[point[1], point[0]]).max() <= 70  # of a pixel beside it at most
     made = upright(frame, DISPLAYS[name])
     corner = [(a - b) // 2 for a, b in zip(seen.shape[:2], shown[::-1], strict=True)]
@@ -179,9 +181,10 @@ def test_a_circle_of_the_brush_is_an_ellipse_where_pixels_are_wide(gpu: Gpu, tmp
     frame = np.full((160, 240, 3), 128, np.uint8)
     view, hand = opened(clip(tmp_path / "a.mp4", frame, DISPLAYS["clockwise"], Fraction(2)))
     view.tools.press("1")
-    view.tools.radius, view.tools.reach = 30, None
+    view.tools.radius = 30
+    view.tools.press("c")  # whose ring is the radius
     x, y = (round(n / 2) for n in view.area)
-    hand.move(x, y)
+    hand.move(x, TOP + y)
     seen = settled(view, hand).min(axis=-1)
     across, down = (int(np.argmax(line[1:])) + 1 for line in (seen[y, x : x + 75], seen[y : y + 150, x]))
     assert (across, down) == (pytest.approx(30, abs=1), pytest.approx(60, abs=1))
@@ -190,7 +193,7 @@ def test_a_circle_of_the_brush_is_an_ellipse_where_pixels_are_wide(gpu: Gpu, tmp
 def test_strokes_are_symmetric_about_the_vertical_middle_that_is_shown(gpu: Gpu, tmp_path: Path) -> None:
     view, hand = opened(clip(tmp_path / "a.mp4", picture(), DISPLAYS["clockwise"]), Recipe(border=None))
     hand.key("m")
-    middle, height = view.area[0] / 2, view.area[1] / 2
+    middle, height = view.area[0] / 2, TOP + view.area[1] / 2
     assert view.tools.grip[0] == pytest.approx(middle)
     hand.drag((middle - 60, height), (middle - 90, height + 10))
     (stroke,) = view.recipe.strokes

@@ -29,6 +29,7 @@ from supple.media import image
 from supple.media import volume as volumes
 from supple.render.camera import Camera
 from supple.render.scene import Scene
+from supple.viewer.panels.view import TOP
 from tests.children import HEARING, SOURCE
 
 MUST = os.environ.get("SUPPLE_TEST_WINDOW") == "1"
@@ -123,6 +124,12 @@ class Hand:
         self.modifiers = ()
 
 
+def in_pixels(view: Any, *point: float) -> tuple[int, int]:
+    """The column and the row of ``view.pixels()`` at which a point of a picture is seen."""
+    x, y = view.tools.view.to_canvas(*point)
+    return round(x), round(y) - TOP
+
+
 _opened: list[Any] = []
 
 
@@ -139,6 +146,7 @@ def opened(
     # What comes later does not: there is no loop, and frames are drawn by who tests.
     loop = SimpleNamespace(call_later=lambda seconds, work: None)
     view = opened_on(source, recipe, canvas, loop, options=ViewOptions(**options))
+    view.hinted = True  # the first hints lie over pictures
     _opened.append(view)
     canvas.draw()
     return view, Hand(canvas, view)
@@ -186,6 +194,8 @@ def viewing(*arguments: str, folder: Path, display: str = "") -> Iterator[subpro
     # Without programs for dialogs, files are typed.
     env = os.environ | {"PYTHONPATH": SOURCE, "PYTHONUNBUFFERED": "1", "PATH": str(folder / "none")}
     env |= {"XDG_STATE_HOME": str(folder / "state"), "XDG_CONFIG_HOME": str(folder / "config")}
+    (folder / "config" / "supple").mkdir(parents=True, exist_ok=True)
+    (folder / "config" / "supple" / "window.json").write_text('{"hinted": true}')  # the first hints lie over pictures
     if display:
         env["DISPLAY"] = display
     process = subprocess.Popen(

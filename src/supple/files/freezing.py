@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 import numpy.typing as npt
@@ -17,7 +17,7 @@ from supple.media.base import Clip, CountError
 from supple.media.files import PathLike
 from supple.media.medium import opened
 from supple.space.freezing import Freeze
-from supple.space.geometry import check_upright
+from supple.space.geometry import Geometry, check_upright
 
 _COLOURED = 12  # of 255: lossy codecs give grey a little colour
 
@@ -50,6 +50,27 @@ def read_freeze(path: PathLike, *, label: int | None = None, width: float | None
         text = f"nothing is frozen in {shown(path)}: all of it is {seen}, and {frozen} is frozen"
         warnings.warn(text, FreezeWarning, stacklevel=2)
     return made
+
+
+def write_freeze(
+    path: PathLike, freeze: Freeze, shape: Sequence[int], geometry: Geometry | None = None, *, force: bool = False
+) -> None:
+    """Write what a mask freezes in full, so that `read_freeze` returns such a mask, but for single samples at its edge.
+
+    It is a grey picture, white on black, of the last axes of a shape (H, W) or (T, H, W); or a volume, in which it is
+    1. SuppleError if the mask changes from frame to frame, or the file cannot be written.
+    """
+    if freeze.ndim == 3 and geometry is None:
+        raise SuppleError("the freeze mask changes from frame to frame, and a picture holds one: save the recipe")
+    frozen = freeze.shown(shape[-freeze.ndim :]) == 0
+    for axis, n in enumerate(frozen.shape):  # a mask that is read covers a sample more on each side
+        row = np.arange(n)
+        frozen = frozen & frozen.take(np.maximum(row - 1, 0), axis) & frozen.take(np.minimum(row + 1, n - 1), axis)
+    if freeze.ndim == 2:
+        image.write(path, frozen * np.uint8(255), force=force)
+    else:
+        labels = frozen.astype(np.uint8)
+        volume.write(path, labels, volume.Volume(labels, geometry or Geometry()), force=force)
 
 
 def read_matte(path: PathLike, *, width: float | None = None) -> Freeze:

@@ -13,7 +13,7 @@ import numpy.typing as npt
 from supple import _core
 from supple._core.rows import numbers
 from supple.engine.work import mask_of
-from supple.errors import OutsideWarning, argument, caller, numbered, shown
+from supple.errors import OutsideWarning, argument, caller, current_spelling, numbered, shown
 from supple.space.domain import Domain, border_factor
 from supple.strokes import Stroke
 
@@ -66,6 +66,8 @@ class Resolved:
 
 def described(stroke: Stroke) -> str:
     """Name a stroke in a message."""
+    if (own := current_spelling().stroke) is not None:
+        return own(stroke)
     where = f"at {located(stroke.at)} with radius {stroke.radius:g}"
     if stroke.also:
         name = f" ({shown(stroke.name)})" if stroke.name else ""

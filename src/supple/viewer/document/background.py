@@ -11,10 +11,11 @@ from pathlib import Path
 from typing import Any
 
 from supple.deformation import Deformation, Report
-from supple.errors import SuppleError
+from supple.errors import SuppleError, spelling
 from supple.files import warp_file
 from supple.files.options import PathLike
 from supple.strokes import Recipe
+from supple.viewer.document.words import WINDOW
 
 Ear = Callable[[str, type[Warning]], None]
 _Asked = tuple[Deformation, int | None]
@@ -173,7 +174,7 @@ class Task:
 
     def _run(self) -> None:
         try:
-            with heard(lambda text, kind: self._warnings.append(_line(text))):
+            with spelling(WINDOW), heard(lambda text, kind: self._warnings.append(_line(text))):
                 self.result = self._work()
         except _Cancelled:
             self.cancelled, self.text = True, "cancelled"

@@ -418,6 +418,10 @@ class Document:
             straighten = None
         self._edit(replace(self.state, rest=replace(self.state.rest, straighten=straighten)))
 
+    def restore(self) -> None:
+        """Remove all strokes, as one step."""
+        self._edit(replace(self.state, strokes=(), selected=None))
+
     def load(self, recipe: Recipe) -> None:
         """Replace the document by a recipe, as one step."""
         self._edit(self._state(recipe))

@@ -9,6 +9,7 @@ import os
 import secrets
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Callable, Collection, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -19,9 +20,10 @@ from typing import IO, Any, Protocol
 
 import numpy as np
 
-from supple.errors import SuppleError, argument, shown
+from supple.errors import SuppleError, facing, shown
 from supple.files import Job
 from supple.files.clips import is_picture_target
+from supple.files.freezing import read_freeze, write_freeze
 from supple.files.options import ClipOptions, PathLike
 from supple.files.recipes import read_recipe, write_recipe
 from supple.files.tracking import track
@@ -35,6 +37,7 @@ from supple.strokes import Recipe, Stroke, spoken
 from supple.viewer.document.background import Export, Task
 from supple.viewer.document.editing import Document, Kind
 from supple.viewer.document.keyframes import without
+from supple.viewer.document.words import WINDOW
 
 EVERY = 1.0  # seconds between two saves, at least
 _VERSION = 1
@@ -218,6 +221,7 @@ def _medium(document: Document) -> list[list[float]]:
     return [[float(n) for n in np.ravel(values)] for values in (document.shape, document.spacing)]
 
 
+BESIDE = 20.0  # seconds, after which another window is there
 FAILED = 0.5  # seconds, in which nobody answers a dialog: one that ends so early cannot be shown
 
 
@@ -233,6 +237,7 @@ class Question:
     opens: PathLike = ""  # a file name that cannot
     problem: str = ""
     fresh: bool = True  # not drawn yet
+    agreed: str | None = None  # a file name that may be replaced, as a dialog of the system has asked that
 
     @property
     def offered(self) -> tuple[str, ...]:
@@ -267,6 +272,8 @@ class FileCommands:
         self.asked: Question | None = None
         self.choose: Callable[[Question], Dialog] | None = None  # opens a dialog of the system, where there is one
         self.choosing: tuple[Question, Dialog, float] | None = None  # that is open, and since when
+        self.windows = True  # whether another window can be opened
+        self.beside: tuple[subprocess.Popen[bytes], IO[bytes], float] | None = None  # the last, what it says, its start
         self.export: Export | None = None
         self.following: tuple[Stroke, int, Task] | None = None  # what is tracked: a stroke, and from which frame
         self.recipe_path: Path | None = None  # the last saved or opened recipe
@@ -286,6 +293,7 @@ class FileCommands:
         """Save the autosave if it is time to; and report the end of an export, of a track, or of a dialog."""
         self._chosen()
         self._followed()
+        self._opened()
         if self.autosave is not None:
             self.autosave.tick()
         export = self.export
@@ -295,14 +303,16 @@ class FileCommands:
             self.message = "; ".join([said, *export.warnings])
 
     def _chosen(self) -> None:
-        if self.choosing is None or self.asked is not None:
+        if self.choosing is None or self.asked not in (None, self.choosing[0]):
             return
         question, dialog, begun = self.choosing
         path = dialog.answer()
         if path is None:
             return
         self.choosing = None
-        if path:
+        if path and self.asked is question:  # where there is more to say than a name
+            question.path = question.agreed = path
+        elif path:
             self.asked, question.path = question, path
             self.answer("Replace" if "Replace" in question.choices else question.choices[0])  # it has asked that
         elif time.monotonic() - begun < FAILED:
@@ -337,12 +347,18 @@ class FileCommands:
         """Call a function, and show its error in the status line."""
         try:
             self.message = ""
-            work()
+            with facing(WINDOW):
+                work()
         except SuppleError as error:
-            self.message = _in_a_window(error)
+            self.message = str(error)
+
+    def browse(self) -> None:
+        """Open a dialog of the system for the name of the present question."""
+        if self.choose is not None and self.choosing is None and self.asked is not None:
+            self.choosing = self.asked, self.choose(self.asked), time.monotonic()
 
     def ask(self, name: str) -> None:
-        """Start a command: ``"save"``, ``"save as"``, ``"open"``, ``"export"``, ``"copy"`` or ``"close"``."""
+        """Start a command: ``"save as"``, ``"close"``, or one of those that a file is asked for."""
         source = Path(os.path.abspath(self.source or "picture.png"))
         suffix = "" if os.path.isdir(source) else suffix_of(source)
         stem = os.fspath(source)[: len(os.fspath(source)) - len(suffix)]
@@ -355,9 +371,10 @@ class FileCommands:
             self.attempt(lambda: self.save(known, force=True))
             return
         name = "save" if name == "save as" else name
-        path = {"export": bent, "copy": f"{stem}-view.png"}.get(name, recipe)
+        mask = f"{stem}-frozen{'.nii.gz' if self.document.kind == 'volume' else '.png'}"
+        path = {"export": bent, "copy": f"{stem}-view.png", "load mask": mask, "save mask": mask}.get(name, recipe)
         question = Question(name, *_ASKED[name], path)
-        if self.choose is None or name == "close":
+        if self.choose is None or name in ("close", "export"):
             self.asked = question
         elif self.choosing is None:
             self.choosing = question, self.choose(question), time.monotonic()
@@ -381,16 +398,18 @@ class FileCommands:
             return True
         try:
             if choice != "Cancel":
-                self._do(asked, choice)
+                with facing(WINDOW):
+                    self._do(asked, choice)
             if self.asked is asked:
                 self.asked = None
         except SuppleError as error:
-            asked.problem = _in_a_window(error)
+            asked.problem = str(error)
             return False
         return True
 
     def _do(self, asked: Question, choice: str) -> None:
-        path, force = asked.path or "", choice == "Replace"
+        path = asked.path or ""
+        force = choice == "Replace" or path == asked.agreed
         if asked.name == "restore" and self._left is not None:
             if choice == "Restore":
                 self.document.load(self._left.recipe)
@@ -403,7 +422,14 @@ class FileCommands:
         elif asked.name == "save":
             self.save(path, force=force)
         elif asked.name == "open":
-            self.open(path)
+            self.take(path)
+        elif asked.name == "load mask":
+            self.document.set_freeze(read_freeze(path))
+            self.message = f"frozen as in {shown(path)}"
+        elif asked.name == "save mask":
+            self._spare(path)
+            write_freeze(path, self.document.freeze, self.document.shape, self.document.geometry, force=force)
+            self.message = f"saved to {shown(path)}"
         elif asked.name == "over":
             self.open(asked.opens, sure=True)
         elif asked.name == "copy":
@@ -441,6 +467,13 @@ class FileCommands:
         if self.source is not None and same_file(path, self.source):
             raise SuppleError(f"{shown(path)} is what is bent here: choose another name")
 
+    def take(self, path: PathLike) -> None:
+        """Open a recipe here, or another file in a window of its own; SuppleError if it cannot be read."""
+        if os.fspath(path).lower().endswith(".json"):
+            self.open(path)
+        else:
+            self.open_beside(path)
+
     def open(self, path: PathLike, *, sure: bool = False) -> None:
         """Replace the strokes by those of a recipe, as one step; SuppleError if it cannot be read, or does not fit.
 
@@ -459,11 +492,30 @@ class FileCommands:
         self.message = f"opened {shown(path)}" + (f", scaled to {spoken(size)}" if scaled else "")
 
     def open_beside(self, path: PathLike) -> None:
-        """Open another medium in a window of its own; SuppleError if the file does not exist."""
+        """Open another medium in a window of its own; SuppleError if there is no such file."""
         if not os.path.exists(path):
             raise SuppleError(f"cannot read {shown(path)}: there is no such file")
-        subprocess.Popen([sys.executable, "-m", "supple", "view", os.fspath(path)], start_new_session=True)
+        if not self.windows:
+            raise SuppleError(f"{shown(path)} needs a window of its own: supple view opens one, on a screen or --serve")
+        if self.beside is not None:
+            self.beside[1].close()
+        said = tempfile.TemporaryFile()  # noqa: SIM115, it is read once the process ends
+        words = [sys.executable, "-m", "supple", "view", os.fspath(path)]
+        self.beside = subprocess.Popen(words, stderr=said, start_new_session=True), said, time.monotonic()
         self.message = f"{shown(path)} opens in a window of its own"
+
+    def _opened(self) -> None:
+        """Say why the other window ended, if it did so at once; later, that is its own affair."""
+        if self.beside is None:
+            return
+        process, said, begun = self.beside
+        if process.poll():
+            said.seek(0)
+            lines = said.read().decode(errors="replace").strip().splitlines()
+            self.message = lines[-1].removeprefix("supple: ") if lines else "the other window did not open"
+        if process.poll() is not None or time.monotonic() - begun > BESIDE:
+            said.close()
+            self.beside = None
 
     def begin_export(self, path: PathLike, *, force: bool = False) -> None:
         """Start to write the whole medium, warped, in the background.
@@ -480,6 +532,8 @@ class FileCommands:
         recipe, options, hold = self.document.recipe, dict(self.options), self.document.hold
         if self.document.kind == "video":
             options["clip"] = replace(options.get("clip", ClipOptions()), hold=hold)
+        if suffix_of(path) not in LOSSY:
+            options.pop("quality", None)
         Job(self.source, path, recipe, force=force, **options).check()
         self.message = ""
         self.export = Export(self.source, path, recipe, force=force, **options)
@@ -495,6 +549,8 @@ class FileCommands:
         """End properly: the autosave of discarded strokes is deleted."""
         if self.choosing is not None:
             self.choosing[1].close()
+        if self.beside is not None:
+            self.beside[1].close()
         for task in (self.export, self.following and self.following[2]):
             if task is not None:
                 task.cancel()
@@ -504,11 +560,6 @@ class FileCommands:
             self.autosave.clear(keep=self.document.dirty)
 
 
-def _in_a_window(error: SuppleError) -> str:
-    """Return an error's text without the command line's advice."""
-    return str(error).replace(f"or {argument('force', True)}", "or Replace")
-
-
 # The suffixes of each kind, and those proposed for formats that are only read.
 _WRITTEN: dict[Kind | None, tuple[Collection[str], str]] = {
     "image": (PICTURES_OUT, ".png"),
@@ -516,12 +567,16 @@ _WRITTEN: dict[Kind | None, tuple[Collection[str], str]] = {
     "volume": (VOLUMES_OUT, ".nii.gz"),
 }
 _OVER = "There are strokes that were not saved. Undo brings them back, but only as long as the window is open."
-_OPEN = "It takes the place of the strokes that there are; undo brings them back."
+_OPEN = "A recipe takes the place of the strokes here; a picture, clip or volume opens in a window of its own."
+_LOAD = "A grey picture, in which white is frozen; for a volume a label map, in which all but 0 is."
 _WAYS_OUT = ("Save and close", "Replace and close", "Close without saving", "Cancel")
+LOSSY = (".jpg", ".jpeg", ".webp", ".avif")
 _KEEP = ("Save", "Replace", "Cancel")
 _ASKED = {
     "save": ("Save the recipe", "The strokes, which supple warp --recipe applies to files.", _KEEP),
-    "open": ("Open a recipe", _OPEN, ("Open", "Cancel")),
+    "open": ("Open", _OPEN, ("Open", "Cancel")),
+    "load mask": ("Load the freeze mask", _LOAD, ("Load", "Cancel")),
+    "save mask": ("Save the freeze mask", "What is frozen, in white; in a volume, as 1.", _KEEP),
     "export": ("Export", "At full quality. The suffix of the name says the format.", ("Export", "Replace", "Cancel")),
     "copy": ("Save what is seen", "The picture as it is on the canvas.", _KEEP),
     "close": ("Close?", "There are strokes that were not saved.", _WAYS_OUT),

@@ -7,6 +7,7 @@ from dataclasses import fields
 from functools import lru_cache
 
 from supple.deformation import Arrival
+from supple.errors import Spelling
 from supple.folding.limits import NEAR
 from supple.space.freezing import Freeze
 from supple.strokes import PAINTINGS, FoldPolicy, Recipe, Stroke
@@ -23,7 +24,7 @@ FOLDS: dict[FoldPolicy, str] = {
     "error": "refuse the stroke",
 }
 """For each policy, what happens with a stroke that would fold the medium."""
-_FIELDS = {"at": "Position", "by": "Drag", "poisson": "Poisson ratio", "scales": "Fall-off", "also": "Points"}
+_FIELDS = {"at": "Position", "by": "Drag", "poisson": "Bulge sideways", "scales": "Fall-off", "also": "Points"}
 _OTHER = "Open a recipe"
 
 
@@ -89,7 +90,7 @@ def described(stroke: Stroke, arrival: Arrival | None) -> str:
         return f"{_held(stroke)}\nlater strokes move nothing there, earlier ones keep their effect"
     said = f"{named(stroke)} at {place(stroke.at, 1)}\n{done(stroke, 1)}\nradius {stroke.radius:.4g}"
     if stroke.poisson is not None:
-        said += f", Poisson ratio {stroke.poisson:.3g}"
+        said += f", bulge sideways {stroke.poisson:.3g}"
     if stroke.brush == "grab":  # the others fade in one way
         said += f"\nfall-off: {FALLOFFS[stroke.scales - 1]}"
     said += "\nreach: no limit" if stroke.reach is None else f"\nreach: {stroke.reach:.3g} radii"
@@ -103,7 +104,20 @@ def described(stroke: Stroke, arrival: Arrival | None) -> str:
     return said
 
 
-@lru_cache(maxsize=4)
+def _control(name: str, value: object) -> str:
+    """Return an argument as the window has it: by the control that sets it."""
+    if name == "on_fold" and value in FOLDS:
+        return f"\u201c{FOLDS[value].capitalize()}\u201d, below Folds and border,"
+    if name == "force":
+        return "Replace"
+    said = _FIELDS.get(name, name.replace("_", " ").capitalize())
+    return said if value is Spelling.ANY else f"{said} {value}"
+
+
+WINDOW = Spelling(_control, "none", stroke=lambda stroke: f"{named(stroke)} at {place(stroke.at)} {done(stroke)}")
+"""How messages of the window name its controls, and strokes."""
+
+
 def frozen(freeze: Freeze) -> str:
     """Return how much of a medium a mask freezes; one of two axes does so in all frames of a clip."""
     percent = 100 * freeze.share
@@ -138,6 +152,8 @@ def step(before: State, after: State) -> str:
     ):
         made = new[first]
         return f"{named(made)} at {place(made.at)}" + (f", {more} strokes" if more > 1 else "")
+    if not new and len(old) > 1:
+        return "Restore all"
     if len(new) == len(old) - 1 and new[first:] == old[first + 1 :]:
         return f"Remove stroke {first + 1}"
     if len(new) != len(old) or first == len(old):

@@ -11,8 +11,8 @@ from imgui_bundle import imgui
 from supple.viewer.document.words import step
 from supple.viewer.panels import theme
 from supple.viewer.panels.theme import ICONS
-from supple.viewer.panels.view import STRIP, WIDE, View
-from supple.viewer.panels.widgets import hint, icon_button
+from supple.viewer.panels.view import STRIP, TOP, WIDE, View
+from supple.viewer.panels.widgets import elided, hint, icon_button
 from supple.viewer.tools.keys import BRUSHES
 
 
@@ -84,6 +84,10 @@ def _presses(key: str) -> Callable[[View], None]:
     return press
 
 
+def _bare(view: View) -> None:
+    view.tools.bare = not view.tools.bare
+
+
 def copy_recipe(view: View) -> None:
     """Copy the recipe's JSON."""
     if view.copy_text is not None:
@@ -95,8 +99,14 @@ def _chosen(view: View) -> bool:
     return view.document.selected is not None
 
 
+def _freezes(view: View) -> bool:
+    return view.document.frozen is not None
+
+
 ACTIONS: dict[str, Action] = {
-    "open": Action("Open a recipe \u2026", "Ctrl+O", _asks("open")),
+    "open": Action("Open \u2026", "Ctrl+O", _asks("open")),
+    "load mask": Action("Load the freeze mask \u2026", "", _asks("load mask")),
+    "save mask": Action("Save the freeze mask \u2026", "", _asks("save mask"), _freezes),
     "save": Action("Save the recipe", "Ctrl+S", _asks("save")),
     "save as": Action("Save the recipe as \u2026", "Ctrl+Shift+S", _asks("save as")),
     "export": Action("Export \u2026", "Ctrl+E", _asks("export"), lambda view: view.source is not None),
@@ -107,13 +117,17 @@ ACTIONS: dict[str, Action] = {
     "redo": Action(
         "Redo", "Ctrl+Y", _edits(lambda view: view.document.redo()), lambda view: view.document.can_redo, more=_redone
     ),
+    "restore": Action(
+        "Restore all", "", _edits(lambda view: view.document.restore()), lambda view: bool(view.document.strokes)
+    ),
+    "handles": Action("Handles", "Ctrl+H", _bare, on=lambda view: not view.tools.bare),
     "delete": Action("Delete the stroke", "Delete", _edits(_delete), _chosen),
     "hide": Action("Hide or show the stroke", "H", _edits(_hide), _chosen),
     "thaw all": Action(
         "Thaw everything",
         "",
         _edits(lambda view: view.document.set_freeze(None)),
-        lambda view: view.document.frozen is not None,
+        _freezes,
     ),
     "invert frozen": Action(
         "Invert what is frozen", "", _edits(lambda view: view.document.set_freeze(view.document.freeze.inverted))
@@ -134,27 +148,41 @@ ACTIONS: dict[str, Action] = {
 
 
 MENUS = {
-    "File": ("open", "save", "save as", "", "export", "copy"),
-    "Edit": ("undo", "redo", "", "hide", "delete", "", "symmetry", "", "invert frozen", "thaw all", "", "copy recipe"),
-    "View": ("fit", "actual", "", "original", "split"),
+    "File": ("open", "recent", "", "save", "save as", "copy recipe", "", "export", "copy"),
+    "Edit": ("undo", "redo", "restore", "", "hide", "delete", "", "symmetry"),
+    "Freeze": ("thaw all", "invert frozen", "", "load mask", "save mask"),
+    "View": ("fit", "actual", "", "original", "split", "handles"),
     "Help": ("keys",),
 }
 """The actions of each menu; a line where there is none."""
 
 
 def menu(view: View) -> None:
-    """Draw the menu in the current window."""
-    if not imgui.begin_menu_bar():
+    """Draw the menu, over the whole width."""
+    imgui.push_style_var(imgui.StyleVar_.frame_padding, (10, 0.5 * (TOP - theme.LETTERS)))
+    shown = imgui.begin_main_menu_bar()
+    imgui.pop_style_var()
+    if not shown:
         return
     for name, items in MENUS.items():
         if imgui.begin_menu(name):
             for item in items:
-                if item:
+                if item == "recent":
+                    _recent(view)
+                elif item:
                     _item(view, item)
                 else:
                     imgui.separator()
             imgui.end_menu()
-    imgui.end_menu_bar()
+    imgui.end_main_menu_bar()
+
+
+def _recent(view: View) -> None:
+    if imgui.begin_menu("Open recent", bool(view.recent)):
+        for name in view.recent:
+            if imgui.menu_item(f"{elided(name, 420.0)}###{name}", "", False)[0]:
+                view.attempt(partial(view.commands.take, name))
+        imgui.end_menu()
 
 
 def _item(view: View, name: str) -> None:
@@ -173,15 +201,15 @@ def strip(view: View) -> None:
     """Draw the strip."""
     width, height = view.logical
     flags = imgui.WindowFlags_.no_decoration | imgui.WindowFlags_.no_move
-    imgui.set_next_window_pos((width - WIDE, 0))
-    imgui.set_next_window_size((STRIP, height))
+    imgui.set_next_window_pos((width - WIDE, TOP))
+    imgui.set_next_window_size((STRIP, height - TOP))
     imgui.push_style_var(imgui.StyleVar_.window_padding, (6, 8))
     imgui.push_style_var(imgui.StyleVar_.window_rounding, 0.0)
     imgui.push_style_var(imgui.StyleVar_.item_spacing, (0, 2))
     imgui.push_style_color(imgui.Col_.window_bg, theme.RAIL)
     imgui.begin("tools", None, flags | imgui.WindowFlags_.no_bring_to_front_on_focus)
     count = len(BRUSHES) + sum(map(len, GROUPS))
-    size = max(min(STRIP - 12.0, (height - 16 - len(GROUPS) * _GAP) / count - 2), 8.0)  # all fit in a low window
+    size = max(min(STRIP - 12.0, (height - TOP - 16 - len(GROUPS) * _GAP) / count - 2), 8.0)  # all fit in a low window
     for brush, (key, what) in BRUSHES.items():
         if brush in view.tools.lacks:
             continue

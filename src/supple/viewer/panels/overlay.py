@@ -10,23 +10,25 @@ from typing import Any
 import numpy as np
 from imgui_bundle import imgui
 
+from supple.deformation import Deformation
 from supple.engine.sampling import DEFAULT
 from supple.files.clips import between_frames
 from supple.files.options import ClipOptions
 from supple.render.box import whole_box
 from supple.render.camera import rounded
 from supple.space.geometry import SIDES
-from supple.strokes import PAINTINGS
 from supple.viewer.document.keyframes import animated
+from supple.viewer.document.settings import keep
 from supple.viewer.document.words import done, named
 from supple.viewer.panels import keyframes, straightening, theme
 from supple.viewer.panels.stages import VideoStage, VolumeStage
-from supple.viewer.panels.view import COMPUTING, LANE, LINE, View
-from supple.viewer.panels.widgets import hint, icon_button, shortened
+from supple.viewer.panels.view import COMPUTING, LANE, LINE, TOP, View
+from supple.viewer.panels.widgets import hint, icon_button, wrapped
 from supple.viewer.tools.brushes import ImageTools, VideoTools
-from supple.viewer.tools.drawing import MASKS, PAINTED, Pair, Place, Point
+from supple.viewer.tools.drawing import Pair, Place, Point
 from supple.viewer.tools.planes import RENDERED, Pane
 from supple.viewer.tools.playback import Playback
+from supple.viewer.tools.viewport import Viewport
 from supple.viewer.tools.volumes import VolumeTools
 
 _LETTERS = 0xF0FFFFFF  # ABGR
@@ -38,6 +40,13 @@ _DASH = 14.0  # logical pixels from one dash to the next
 _ROOMY = 240.0  # logical pixels: a narrower view has no room for all of its text
 _NEARBY = 5.0  # millimetres of a landmark from a plane in which it is seen, faint
 _MARK = 0xFFF0D060  # of landmarks
+_BEGIN = (
+    "The wheel, or a right drag, sets the size of the brush: the ring is how far it is felt.",
+    ("The wheel with Shift sets the size of the brush: the ring is how far it is felt."),
+)
+_PAPER = 0xC8181818
+_GRID = 0x98FFFFFF
+_CLOSE, _PARTS = 14.0, 4  # the least logical pixels between lines of the grid, and the parts of a line between others
 
 
 def _views(view: View, tools: VolumeTools, lines: imgui.ImDrawList) -> None:
@@ -61,20 +70,18 @@ def _views(view: View, tools: VolumeTools, lines: imgui.ImDrawList) -> None:
 
 
 def rings(tools: ImageTools | VolumeTools, lines: imgui.ImDrawList) -> None:
-    """Draw the brush's radius under the pointer and, around it, its reach, beyond which nothing moves."""
+    """Draw how far the brush is felt: where a twentieth of a drag is left and, faint, beyond where nothing moves."""
     middle, radius, held = tools.pointer, tools.ring, tools.held
     if middle is None or tools.original or not radius:
         return
-    if held is not None and held.shapes:  # the point stays, and the pointer says how much
-        middle = held.start
-    reach = PAINTED if tools.brush in PAINTINGS else tools.reach if held is None else held.stroke.reach
-    if tools.brush in MASKS:
-        reach = None
-    if reach is not None and reach > 1.0:
+    if tools.sizing or (held is not None and held.shapes):  # the point stays, and the pointer says how much
+        middle = tools.sizing or (held and held.start) or middle
+    felt, reach = tools.extent
+    if reach is not None and reach > felt:
         ring(lines, middle, reach * radius, tools.stretch, theme.SHADE, 3.0)
         ring(lines, middle, reach * radius, tools.stretch, theme.PALE)
-    ring(lines, middle, radius, tools.stretch, theme.DARK, 3.0)
-    ring(lines, middle, radius, tools.stretch, theme.WHITE)
+    ring(lines, middle, felt * radius, tools.stretch, theme.DARK, 3.0)
+    ring(lines, middle, felt * radius, tools.stretch, theme.WHITE)
 
 
 def ring(lines: imgui.ImDrawList, middle: Pair, radius: float, stretch: Pair, colour: int, thick: float = 1.0) -> None:
@@ -133,7 +140,7 @@ def _plane(view: View, tools: VolumeTools, lines: imgui.ImDrawList, k: int) -> N
     left, top, width, height = pane.place
     if tools.mask is not None and not tools.original:
         axes, index = (pane.plane.axis, pane.plane.across, pane.plane.down), pane.index[pane.plane.axis]
-        view.veil.draw(lines, tools.mask, tools.sizes, pane.to_canvas, axes, index, outline=not view.veiled)
+        view.veil.draw(lines, tools.mask, tools.sizes, pane.to_canvas, theme.packed(view.veil_colour), axes, index)
     _cut(view, lines, pane)
     _crosshair(tools, lines, pane)
     if (grip := tools.grip_of(k)) is not None:
@@ -216,7 +223,7 @@ def strokes(
     radius.
     """
     document = view.document
-    for i, each in document.tracks():
+    for i, each in () if view.tools.bare else document.tracks():
         selected = document.selected == i
         if not selected and len(document.strokes) > 60:
             continue
@@ -376,23 +383,78 @@ def draw(view: View) -> None:
     """Draw what lies over the image."""
     lines = imgui.get_background_draw_list()
     width, height = view.area
-    lines.push_clip_rect((0, 0), (width, height))
+    lines.push_clip_rect((0, TOP), (width, TOP + height))
     tools = view.tools
     if isinstance(tools, VolumeTools):
         _views(view, tools, lines)
     else:
         if tools.mask is not None and not tools.original:
-            size, outline = view.document.shape[:-3:-1], not view.veiled
-            view.veil.draw(lines, tools.mask, size, lambda p: tools.view.to_canvas(*p), outline=outline)
+            size, colour = view.document.shape[:-3:-1], theme.packed(view.veil_colour)
+            view.veil.draw(lines, tools.mask, size, lambda p: tools.view.to_canvas(*p), colour)
+        if view.overlay == "grid" and not view.document.timed:
+            _grid(view, lines)
         straightening.overlay(view, tools, lines)
         if (grip := tools.grip) is not None:
-            mirror(lines, grip, 0.0, height, tools.tilt)
+            mirror(lines, grip, TOP, height, tools.tilt)
         _handles(view, lines)
         rings(tools, lines)
         if tools.knob is not None:
             knob(lines, tools.knob)
-        names(tools, lines, (0.0, 0.0, width, height), 10.0)
+        names(tools, lines, tools.place, 10.0)
+    if not view.hinted:
+        _hints(view, lines)
     lines.pop_clip_rect()
+
+
+def _hints(view: View, lines: imgui.ImDrawList) -> None:
+    """Draw what to begin with, until there is a stroke."""
+    if view.document.strokes:
+        view.hinted = True
+        keep(hinted=True)
+        return
+    size = _BEGIN[view.stage.kind == "volume"]
+    said = f"Drag what you see: it is pulled along.\n{size}\nThe other brushes are at the right; F1 lists all keys."
+    (width, height), text = view.area, imgui.calc_text_size(said)
+    left, top = 0.5 * (width - text.x), TOP + height - text.y - 40
+    lines.add_rect_filled((left - 16, top - 12), (left + text.x + 16, top + text.y + 12), _PAPER, 8.0)
+    lines.add_text((left, top), theme.WHITE, said)
+
+
+def _grid(view: View, lines: imgui.ImDrawList) -> None:
+    """Draw lines of the original as they are bent: of what is seen, on both sides of the split."""
+    tools, document = view.tools, view.document
+    assert isinstance(tools, ImageTools)
+    left, top, width, height = tools.place
+    cut = left + width * (1.0 if tools.original else tools.split or 0.0)
+    for deformation, begin, end in ((document.base, left, cut), (document.deformation, cut, left + width)):
+        lines.push_clip_rect((begin, top), (end, top + height), True)
+        for points in _bent_grid(deformation, tools.view):
+            lines.add_polyline(points, col=_GRID, thickness=1.0, flags=imgui.ImDrawFlags_.none)
+        lines.pop_clip_rect()
+
+
+def grid_step(zoom: float) -> int:
+    """Return the pixels from one line of the grid to the next: 32, or more where these would lie close together."""
+    return 32 << max(math.ceil(math.log2(_CLOSE / (32 * zoom))), 0)
+
+
+@lru_cache(maxsize=2)
+def _bent_grid(deformation: Deformation, view: Viewport) -> list[list[Any]]:
+    step, (columns, rows) = grid_step(view.zoom), view.image_size
+    a, b, c, d = (view.zoom * n for n in view.turn)
+    left, top = view.to_canvas(0.0, 0.0)
+    low, high = (0.0, view.top), (view.canvas_size[0], view.top + view.canvas_size[1])
+    made: list[list[Any]] = []
+    for across, most in ((0, columns), (1, rows)):
+        other = (rows, columns)[across]
+        level, along = np.arange(0, most, step), np.linspace(-0.5, other - 0.5, other * _PARTS // step + 2)
+        points = np.empty((len(level), len(along), 2))
+        points[..., across], points[..., 1 - across] = level[:, None], along
+        bent = deformation.forward(points.reshape(-1, 2)).reshape(points.shape)
+        seen = bent @ np.array([[a, c], [b, d]]) + (left, top)
+        shown = seen[((seen >= low) & (seen <= high)).all(-1).any(-1)].tolist()
+        made += [[imgui.ImVec2(x, y) for x, y in line] for line in shown]
+    return made
 
 
 def bars(view: View) -> None:
@@ -493,15 +555,15 @@ def _at_frame(frame: float, playback: Playback) -> float:
 
 
 def _status(view: View) -> None:
-    _begin_bar("status", view.logical[1] - LINE, view.area[0], LINE, (8, 3))
-    said = status(view)
-    imgui.text(shortened(said, imgui.get_content_region_avail().x))
-    hint(said.replace("   |   ", "\n"))  # all of it
+    said, wide = status(view), view.area[0]
+    high = imgui.calc_text_size(said, wrap_width=wide - 16).y + LINE - imgui.get_text_line_height()
+    _begin_bar("status", view.logical[1] - high, wide, high, (8, 3))  # over the picture, where it has several lines
+    wrapped(said, colour=theme.TEXT)
     _end_bar()
 
 
 def status(view: View) -> str:
-    """Return the status line: a message, or the point under the pointer; how exact pixels are; frames a second."""
+    """Return the status line: a message, or the point under the pointer; frames a second."""
     parts = [view.stage.trouble]
     tools, document = view.tools, view.document
     if view.computing:  # what is under the pointer would wait for it
@@ -521,7 +583,8 @@ def status(view: View) -> str:
         elif not isinstance(view.stage, VolumeStage):
             seen = document.base if _is_before(view) else document.deformation
             parts.append(view.stage.value((hover[0], hover[1]), view.frame, seen))
-    parts.append(certified(view))
+    if isinstance(view.stage, VolumeStage) and view.stage.warned:
+        parts.append(certified(view))
     if document.timed and not document.deformation.is_identity and _follows(view.commands.options.get("clip", _USUAL)):
         parts.append("frames are mixed here, and an export follows their motion")
     if isinstance(tools, ImageTools):

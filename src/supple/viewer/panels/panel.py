@@ -13,15 +13,18 @@ from supple.engine.sampling import BETWEEN
 from supple.errors import shown
 from supple.files.options import ClipOptions
 from supple.gpu.plate import OVERLAYS
+from supple.media.volume import suffix_of
 from supple.viewer.document.background import Export
+from supple.viewer.document.files import LOSSY, Question
+from supple.viewer.document.settings import keep
 from supple.viewer.document.words import step
 from supple.viewer.panels import straightening, strokes, theme, volume
-from supple.viewer.panels.actions import ACTIONS, menu
+from supple.viewer.panels.actions import ACTIONS
 from supple.viewer.panels.overlay import certified
 from supple.viewer.panels.stages import ImageStage
 from supple.viewer.panels.theme import CROSS
 from supple.viewer.panels.transforms import TRANSFORMS
-from supple.viewer.panels.view import FROZEN, STRIP, WIDE, View
+from supple.viewer.panels.view import STRIP, TOP, WIDE, View
 from supple.viewer.panels.widgets import (
     REST,
     elided,
@@ -38,7 +41,7 @@ from supple.viewer.panels.widgets import (
 )
 from supple.viewer.tools.keys import KEYS
 
-_FOOT = 94.0  # logical pixels of the file commands
+_FOOT = 56.0  # logical pixels of the file commands
 _EXPORTING, _DONE = 60.0, 30.0  # and of an export's progress, and of its end
 _FLAGS = (
     imgui.WindowFlags_.no_move
@@ -52,12 +55,11 @@ _FLAGS = (
 def panel(view: View) -> None:
     """Draw the panel."""
     width, height = view.logical
-    imgui.set_next_window_pos((width - WIDE + STRIP, 0))
-    imgui.set_next_window_size((WIDE - STRIP, height))
+    imgui.set_next_window_pos((width - WIDE + STRIP, TOP))
+    imgui.set_next_window_size((WIDE - STRIP, height - TOP))
     imgui.push_style_var(imgui.StyleVar_.window_rounding, 0.0)
-    imgui.begin("panel", None, _FLAGS | imgui.WindowFlags_.menu_bar | imgui.WindowFlags_.no_scrollbar)
+    imgui.begin("panel", None, _FLAGS | imgui.WindowFlags_.no_scrollbar)
     imgui.pop_style_var()
-    menu(view)
     job = view.commands.export
     foot = _FOOT + (0.0 if job is None else _DONE if job.done else _EXPORTING)
     wide = imgui.get_content_region_avail().x
@@ -66,13 +68,11 @@ def panel(view: View) -> None:
     imgui.begin_child("sections", (wide + imgui.get_style().scrollbar_size + 1, -foot))
     strokes.brush(view)
     strokes.strokes(view)
-    strokes.selected(view)
     volume.draw(view)
     _seeing(view)
     straightening.draw(view)
     strokes.folds(view)
     _accuracy(view)
-    _exports(view)
     _history(view)
     imgui.end_child()
     _files(view)
@@ -83,13 +83,20 @@ def panel(view: View) -> None:
 def _seeing(view: View) -> None:
     if not section(view, "View"):
         return
-    names = [*(("", "inversions") if view.stage.kind == "volume" else OVERLAYS), FROZEN]
+    names = ["", "inversions"] if view.stage.kind == "volume" else list(OVERLAYS)
     label("Overlay", "What the map does, and what it costs, in colours over the picture")
     changed, index = imgui.combo("##overlay", names.index(view.overlay), [strokes.NAMES[name] for name in names])
     if changed:
         view.overlay = names[index]
         view.refresh()
     strokes.legend(view)
+    label("Frozen", "The colour over what is frozen, and its opacity: 0 for none")
+    flags = imgui.ColorEditFlags_.no_inputs | imgui.ColorEditFlags_.alpha_bar
+    changed, colour = imgui.color_edit4("##veil", list(view.veil_colour), flags)
+    if changed:
+        view.veil_colour = (colour[0], colour[1], colour[2], colour[3])
+    if imgui.is_item_deactivated_after_edit():
+        keep(veil=view.veil_colour)
     stage = view.stage
     if isinstance(stage, ImageStage):
         label("Colours", "The view transform: how linear and HDR values are shown. An export keeps the values")
@@ -97,19 +104,6 @@ def _seeing(view: View) -> None:
         changed, index = imgui.combo("##transform", known.index(stage.transform), list(TRANSFORMS.values()))
         if changed:
             stage.set_transform(known[index])
-            view.refresh()
-    compared = view.document.compared is not None
-    what = "Step A of the history" if compared else "The original"
-    label("Compare", f"{what} to the left of a line, the result to the right of it")
-    changed, on = imgui.checkbox("before and after", view.tools.split is not None)
-    if changed:
-        view.tools.split = 0.5 if on else None
-        view.refresh()
-    if view.tools.split is not None:
-        label("Divided at")
-        changed, value = slider("##cut", 100 * view.tools.split, 0.0, 100.0, "%.0f %%")
-        if changed:
-            view.tools.split = value / 100
             view.refresh()
 
 
@@ -128,6 +122,11 @@ def _accuracy(view: View) -> None:
         )
 
 
+_FORMATS = {
+    "image": (".jpg", ".png", ".tif", ".webp", ".avif", ".exr"),
+    "video": (".mp4", ".mov", ".mkv", ".webm", ".gif"),
+    "volume": (".nii.gz", ".nrrd", ".mha", ".tif"),
+}
 _HOLD = (
     "How many frames at each end keep every bit, so that a shot is cut back in: strokes fade towards them, here as well"
 )
@@ -137,15 +136,24 @@ _BETWEEN = (
 )
 
 
-def _exports(view: View) -> None:
-    kind, commands = view.stage.kind, view.commands
-    if kind == "volume" or view.source is None or not section(view, "Export options"):
+def _exports(view: View, asked: Question) -> None:
+    """Draw the options of an export: its format, which is the suffix of its name, and what that has."""
+    kind, commands, path = view.stage.kind, view.commands, asked.path or ""
+    suffix = suffix_of(path)
+    label("Format", "The suffix of the name says the format, too")
+    formats = list(_FORMATS[kind])
+    changed, index = imgui.combo("##format", formats.index(suffix) if suffix in formats else -1, formats)
+    if changed:
+        asked.path = path[: len(path) - len(suffix)] + formats[index]
+    if kind == "volume":
         return
     if kind == "image":
-        label("Quality", "From 1 to 100, of JPEG, WebP and AVIF; 0 for what the format usually has")
-        entered, number = typed(view, "##quality", float(commands.options.get("quality") or 0), "%.0f")
-        if entered and math.isfinite(number):
-            commands.options = {**commands.options, "quality": round(number) or None}
+        if suffix in LOSSY:
+            label("Quality", "From 1 to 100; 0 for what the format usually has")
+            known = int(commands.options.get("quality") or 0)
+            changed, number = slider("##quality", known, 0, 100, "%.0f" if known else "as usual")
+            if changed:
+                commands.options = {**commands.options, "quality": min(max(round(number), 0), 100) or None}
         return
     clip = commands.options.get("clip") or ClipOptions()
     made: dict[str, Any] = {}
@@ -199,13 +207,6 @@ def _files(view: View) -> None:
         action.do(view)
     imgui.end_disabled()
     hint(f"Bend the file itself, at full quality ({action.keys})" if action.able(view) else "An array is no file")
-    wide = 0.5 * (imgui.get_content_region_avail().x - imgui.get_style().item_spacing.x)
-    for name, text in (("save", "Save recipe"), ("open", "Open recipe")):
-        if imgui.button(text, (wide, 30)):
-            ACTIONS[name].do(view)
-        hint(f"{ACTIONS[name].text} ({ACTIONS[name].keys})")
-        imgui.same_line()
-    imgui.new_line()
 
 
 def _exporting(view: View, job: Export) -> None:
@@ -244,7 +245,7 @@ def _question(view: View) -> None:
         return
     wide = max(min(460.0, width - 60), 80.0)
     wrapped(asked.text, wide, theme.TEXT)
-    answer = ""
+    answer, typing = "", imgui.is_any_item_active()  # whose Enter is for the field
     if asked.path is not None:
         imgui.set_next_item_width(wide)
         if asked.fresh:
@@ -254,8 +255,12 @@ def _question(view: View) -> None:
         entered, asked.path = imgui.input_text("##path", asked.path, imgui.InputTextFlags_.enter_returns_true)
         if entered:
             answer = asked.choices[0]
-    if not asked.fresh and imgui.is_key_pressed(imgui.Key.enter):
-        answer = answer or asked.choices[0]  # for any focus of the keyboard
+        if asked.name == "export":
+            imgui.begin_child("options", (wide, 0), imgui.ChildFlags_.auto_resize_y)
+            _exports(view, asked)
+            imgui.end_child()
+    if not (asked.fresh or typing) and imgui.is_key_pressed(imgui.Key.enter):
+        answer = answer or asked.choices[0]
     asked.fresh = False
     if asked.problem:
         wrapped(asked.problem, wide, theme.WARNING)
@@ -267,6 +272,10 @@ def _question(view: View) -> None:
                 imgui.new_line()
         if primary(choice, 0.0) if k == 0 else imgui.button(choice, (0, 32)):
             answer = choice
+    if asked.name == "export" and view.commands.choose is not None:
+        imgui.same_line()
+        if imgui.button("Browse \u2026", (0, 32)):
+            view.commands.browse()
     if imgui.is_key_pressed(imgui.Key.escape) and "Cancel" in asked.choices:
         answer = "Cancel"
     if answer and view.commands.answer(answer):

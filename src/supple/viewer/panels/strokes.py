@@ -3,26 +3,39 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
+from functools import cache, partial
 from typing import Any, get_args
 
+import numpy as np
 from imgui_bundle import imgui
 
+from supple.deformation import Deformation
 from supple.folding.limits import NEAR
 from supple.strokes import LEAST, MOST, PAINTINGS, POISSON, REACH, FoldPolicy, Stroke, time_radius_of
 from supple.strokes.stroke import MOST_FLAT
 from supple.viewer.document.keyframes import animated, edited
-from supple.viewer.document.words import CAUSES, FALLOFFS, FOLDS, described, frozen, listed, others
+from supple.viewer.document.words import CAUSES, FALLOFFS, FOLDS, described, listed, others
 from supple.viewer.panels import keyframes, theme
 from supple.viewer.panels.actions import ACTIONS
+from supple.viewer.panels.overlay import grid_step
 from supple.viewer.panels.stages import VolumeStage
 from supple.viewer.panels.theme import HIDDEN, SEEN
-from supple.viewer.panels.view import FROZEN, View
-from supple.viewer.panels.widgets import REST, hint, icon_button, label, listing, section, slider, typed, wrapped
-from supple.viewer.tools.brushes import VideoTools
-from supple.viewer.tools.drawing import IMMATERIAL, MASKS, SHAPES
+from supple.viewer.panels.view import View
+from supple.viewer.panels.widgets import (
+    REST,
+    hint,
+    icon_button,
+    label,
+    listing,
+    section,
+    slider,
+    toggle,
+    typed,
+    wrapped,
+)
+from supple.viewer.tools.brushes import ImageTools, VideoTools
+from supple.viewer.tools.drawing import IMMATERIAL, MASKS
 
 NAMES = {
     "": "None",
@@ -30,7 +43,6 @@ NAMES = {
     "stretch": "Stretch",
     "residual": "Residual",
     "inversions": "Work",
-    FROZEN: "Frozen",
 }
 """Overlays, as they are called in the panel."""
 COLD, HOT = (0.10, 0.25, 0.75, 1.0), (0.95, 0.35, 0.10, 1.0)
@@ -45,32 +57,12 @@ _SCALES: dict[str, tuple[str, tuple[str, ...]]] = {
 }
 
 
-def mask(view: View) -> None:
-    """Say how much is frozen, if anything is, beside the colour that it has."""
-    known, held = view.document.frozen, view.tools.held
-    painted = held is not None and held.masks
-    if known is None and not painted:
-        return
-    at, size = imgui.get_cursor_screen_pos(), imgui.get_text_line_height()
-    imgui.get_window_draw_list().add_rect_filled((at.x, at.y), (at.x + size, at.y + size), theme.VEIL, 3.0)
-    imgui.dummy((size, size))
-    imgui.same_line()
-    if painted or known is None:  # how much it is would be counted anew for each frame
-        wrapped("Takes effect when you let go.")
-        return
-    wrapped(f"{frozen(known)}: it stays as it is now.")
-    hint("Freeze (C) and Thaw (V) paint it; the overlay Frozen tints it")
-
-
 def legend(view: View) -> None:
     """Draw the legend of the overlays that are shown."""
-    if view.overlay == FROZEN:
-        if view.tools.mask is None:
-            wrapped("Nothing is frozen.")
-        mask(view)
     name = "rays" if view.overlay == "inversions" and view.stage.kind == "volume" else view.overlay
     if name == "grid":
-        wrapped("Lines of the original, every 32 pixels, as they are bent.")
+        step = grid_step(view.tools.view.zoom) if isinstance(view.tools, ImageTools) else 32
+        wrapped(f"Lines of the original, every {32 if view.document.timed else step} pixels, as they are bent.")
     if name not in _SCALES:
         return
     if isinstance(view.stage, VolumeStage) and view.stage.scene.gpu is None:
@@ -100,12 +92,12 @@ def legend(view: View) -> None:
 
 _POLICIES = get_args(FoldPolicy)
 _FALLOFF = "How fast the pull fades with the distance: far as 1/r, medium as 1/r\u00b3, near as 1/r\u2075"
-_POISSON = (
-    "How much the material keeps its volume while it is pulled: at 0.5 it keeps all of it, as rubber does; at lower "
-    "values it may be squeezed"
+_BULGE = (
+    "How much the surroundings make room, as rubber does: what lies ahead and behind is pushed to the sides. It is "
+    "Poisson's ratio of the material, from -1 to 0.5"
 )
 _REACH = (
-    "Farther than this from the drag, nothing moves at all: the outer ring. Without a limit, the pull fades, but never "
+    "Farther than this from the drag, nothing moves at all: the faint ring. Without a limit, the pull fades, but never "
     "ends"
 )
 
@@ -118,54 +110,121 @@ _KIND = (
     "In time: a drag may go through time, and fades with it. In every frame: a stroke bends each frame like a picture, "
     "and may move and come and go, by keys. All strokes of a recipe are of one kind"
 )
+_SMALL = 120.0  # logical pixels of the picture of what bulges
 
 
 def brush(view: View) -> None:
-    """Draw the section of the brush."""
+    """Draw the section of the brush, or of the selected stroke: both have the same numbers."""
+    document, tools = view.document, view.tools
+    i = document.selected
+    if tools.brush != view.brush:  # what was chosen last is seen
+        view.brush, view.own = tools.brush, False
     if not section(view, "Brush"):
         return
+    own = view.own and i is not None
+    if i is not None:
+        wide = 0.5 * (imgui.get_content_region_avail().x - imgui.get_style().item_spacing.x)
+        if toggle("Next stroke", not own, wide):
+            view.own = False
+        imgui.same_line()
+        if toggle(f"Stroke {i + 1}###own", own, wide):
+            view.own = True
+    imgui.push_id("own" if own else "next")
+    if own and i is not None:
+        _selected(view, i)
+    else:
+        _next(view)
+    imgui.pop_id()
+
+
+def _next(view: View) -> None:
     tools = view.tools
-    form = "%.1f mm" if view.stage.kind == "volume" else "%.1f px"
-    label("Radius", "How far a drag is felt: the inner ring. Also the wheel, or [ and ]")
-    changed, value = slider("##radius", tools.radius, *tools.radius_limits, form, logarithmic=True)
-    if changed:
-        tools.radius = value
-    if tools.brush in MASKS:
-        _masks(view)
-        return
-    if tools.pen and tools.brush != "pin":
-        label(
-            "Pen",
-            "How much of a stroke is made, by the greatest pressure of its drag; of a painting, by the present one",
-        )
+    if tools.pen and tools.brush not in ("pin", *MASKS):
+        label("Pen", "How much of a stroke is made: by the greatest pressure of its drag; of a painting, the present")
         changed, pressing = imgui.checkbox("pressure sets strength", tools.pressing)
         if changed:
             tools.pressing = pressing
+    simple = tools.brush in MASKS | PAINTINGS
+    if view.stage.kind == "video" and not simple:
+        _kind(view)
+    for name, value in _numbers(view, tools.next_stroke, simple).items():
+        setattr(tools, name, value)
+    for name in ("thaw all", "invert frozen") if tools.brush in MASKS else ():
+        imgui.begin_disabled(not ACTIONS[name].able(view))
+        if imgui.button(ACTIONS[name].text, (REST, 0)):
+            ACTIONS[name].do(view)
+        imgui.end_disabled()
     if tools.brush in PAINTINGS:
         label("Strength", "The part of the way that a click brings it")
         changed, value = slider("##strength", 100 * tools.strength, 1.0, 100.0, "%.0f %%")
         if changed:
             tools.strength = min(max(value / 100, 0.01), 1.0)
-        return
-    if view.stage.kind == "video":
-        _kind(view)
-    if tools.brush not in SHAPES:  # those fade in one way
+
+
+def _numbers(view: View, stroke: Stroke, simple: bool = False) -> dict[str, Any]:
+    """Draw what strokes and the brush have in common, or the radius alone; return what was changed, by its name."""
+    made: dict[str, Any] = {}
+    form = "%.1f mm" if view.stage.kind == "volume" else "%.1f px"
+    label("Radius", "The size of the brush: also the wheel, [ and ], or a right drag")
+    low, high = view.tools.radius_limits
+    changed, value = slider("##radius", stroke.radius, low, max(high, stroke.radius), form, logarithmic=True)
+    if changed:
+        made["radius"] = max(value, low)
+    if simple:
+        return made
+    grabs = stroke.brush == "grab"
+    if grabs:  # the others fade in one way
         label("Fall-off", _FALLOFF)
-        changed, index = imgui.combo("##falloff", tools.scales - 1, list(FALLOFFS))
+        changed, index = imgui.combo("##falloff", stroke.scales - 1, list(FALLOFFS))
         if changed:
-            tools.scales = index + 1
-    if tools.brush not in IMMATERIAL:
-        label("Poisson ratio", _POISSON)
-        material = POISSON if tools.poisson is None else max(tools.poisson, -1.0)
+            made["scales"] = index + 1
+    if stroke.brush not in IMMATERIAL:
+        label("Bulge sideways", _BULGE, _bulging)
+        material = POISSON if stroke.poisson is None else max(stroke.poisson, -1.0)
         changed, value = slider("##poisson", material, -1.0, 0.5, "%.2f")
+        hint(_BULGE, _bulging)
         if changed:
-            tools.poisson = value
-    changed, tools.reach = _reach(tools.reach, "")
-    if tools.brush not in SHAPES and tools.reach is not None:
-        changed, tools.flat = _plateau(tools.flat, "")
-    if view.document.timed:
-        begun = tools._begun((0.0, 0.0, 0.0))
-        changed, tools.time_radius = _time_radius(view, begun, "")
+            made["poisson"] = min(max(value, -1.0), 0.5)
+    label("Reach", _REACH)
+    changed, reach = _optional("reach", stroke.reach, REACH, "no limit", (1.0, 10.0, "%.1f radii"), _REACH)
+    if changed:
+        made["reach"] = reach
+    if grabs and not stroke.also and stroke.reach is not None:
+        label("Plateau", _FLAT)
+        changed, value = slider("##flat", 100 * stroke.flat, 0.0, 100 * MOST_FLAT, "%.0f %%")
+        if changed:
+            made["flat"] = min(max(value / 100, 0.0), MOST_FLAT)
+    if view.document.timed and not stroke.isotropic:
+        label("Radius in time", _IN_TIME)
+        count = view.document.shape[0]
+        usual = time_radius_of(stroke, count, view.stage.spacing[2])
+        limits = (0.5, max(0.5 * count, 1.0), "%.1f frames")
+        changed, frames = _optional("frames", stroke.time_radius, usual, f"{usual:.1f} frames", limits, _IN_TIME)
+        if changed:
+            made["time_radius"] = frames
+    return made
+
+
+def _bulging() -> None:
+    """Draw what the least and the most of it do: a grid that is pulled to the right."""
+    at, lines = imgui.get_cursor_screen_pos(), imgui.get_window_draw_list()
+    for k, poisson in enumerate((-1.0, 0.5)):
+        left = at.x + k * (_SMALL + 20)
+        lines.add_text((left, at.y), theme.GREY, f"{poisson:g}")
+        for line in _pulled(poisson):
+            points: list[Any] = [imgui.ImVec2(left + x, at.y + 18 + y) for x, y in line]
+            lines.add_polyline(points, col=theme.SOFT, thickness=1.0, flags=imgui.ImDrawFlags_.none)
+    imgui.dummy((2 * _SMALL + 20, _SMALL + 20))
+
+
+@cache
+def _pulled(poisson: float) -> list[list[list[float]]]:
+    bent = Deformation((int(_SMALL),) * 2, border=None).grab(
+        (0.4 * _SMALL, 0.5 * _SMALL), by=(0.25 * _SMALL, 0), radius=0.2 * _SMALL, poisson=poisson
+    )
+    along, places = np.linspace(0, _SMALL - 1, 40), np.linspace(0, _SMALL - 1, 13)
+    level = [np.stack([along, np.full(40, y)], 1) for y in places]
+    return [bent.forward(points).tolist() for points in (*level, *(points[:, ::-1] for points in level))]
 
 
 def _kind(view: View) -> None:
@@ -178,37 +237,6 @@ def _kind(view: View) -> None:
     hint(_KIND)
     if changed:
         view.attempt(partial(setattr, document, "timed", index == 0))
-
-
-def _masks(view: View) -> None:
-    wide = 0.5 * (imgui.get_content_region_avail().x - imgui.get_style().item_spacing.x)
-    for name, text, tip in (
-        ("thaw all", "Thaw everything", "Strokes move all again"),
-        ("invert frozen", "Invert", "What is frozen is free, and what is free is frozen"),
-    ):
-        action = ACTIONS[name]
-        imgui.begin_disabled(not action.able(view))
-        if imgui.button(text, (wide, 0)):
-            action.do(view)
-        imgui.end_disabled()
-        hint(tip)
-        imgui.same_line()
-    imgui.new_line()
-
-
-def _reach(reach: float | None, of: str) -> tuple[bool, float | None]:
-    """Draw the controls of a reach; return whether it was changed, and its value."""
-    label("Reach", _REACH)
-    return _optional(f"reach{of}", reach, REACH, "no limit", (1.0, 10.0, "%.1f radii"), _REACH)
-
-
-def _time_radius(view: View, stroke: Stroke, of: str) -> tuple[bool, float | None]:
-    """Draw the controls of a radius in time, in frames; return whether it was changed, and its value."""
-    label("Radius in time", _IN_TIME)
-    count = view.document.shape[0]
-    usual = time_radius_of(stroke, count, view.stage.spacing[2])
-    limits = (0.5, max(0.5 * count, 1.0), "%.1f frames")
-    return _optional(f"time radius{of}", stroke.time_radius, usual, f"{usual:.1f} frames", limits, _IN_TIME)
 
 
 def _optional(
@@ -226,19 +254,12 @@ def _optional(
     return changed, max(float(now), limits[0]) if changed else value
 
 
-def _plateau(flat: float, of: str) -> tuple[bool, float]:
-    label("Plateau", _FLAT)
-    changed, value = slider(f"##flat{of}", 100 * flat, 0.0, 100 * MOST_FLAT, "%.0f %%")
-    return changed, min(max(value / 100, 0.0), MOST_FLAT) if changed else flat
-
-
 def strokes(view: View) -> None:
     """Draw the section of the list."""
     state = view.document.state
     count = len(state.strokes)
     if not section(view, "Strokes", f"Strokes ({count})" if count else "Strokes"):
         return
-    mask(view)
     if count:
         _amount(view)
     else:
@@ -276,6 +297,7 @@ def _row(view: View, i: int, stroke: Stroke, selected: bool) -> None:
         imgui.push_style_color(imgui.Col_.text, theme.FAINT if stroke.hidden else theme.WARNING)
     imgui.push_style_var(imgui.StyleVar_.selectable_text_align, (0.0, 0.5))
     if imgui.selectable(f"{text}##row", selected, size=(0, imgui.get_frame_height()))[0]:
+        view.own = True
         view.attempt(lambda: document.select(None if selected else i))
     imgui.pop_style_var()
     if coloured:
@@ -284,14 +306,8 @@ def _row(view: View, i: int, stroke: Stroke, selected: bool) -> None:
     imgui.pop_id()
 
 
-def selected(view: View) -> None:
-    """Draw the section of the selected stroke."""
+def _selected(view: View, i: int) -> None:
     document = view.document
-    i = document.state.selected
-    if i is None or i >= len(document.state.strokes):
-        return
-    if not section(view, "Selected stroke", f"Stroke {i + 1}"):
-        return
     own = document.state.strokes[i]
     if own.brush == "freeze":
         wrapped(described(own, None))
@@ -299,10 +315,9 @@ def selected(view: View) -> None:
         return
     stroke = own.at_frame(document.frame)
     axes = "xyt" if view.stage.kind == "video" else "xyz"
-    made: dict[str, Any] = {}
+    entries: dict[str, Any] = {}
     gap = imgui.get_style().item_inner_spacing.x
-    grabs = stroke.brush == "grab"
-    for name, said in (("at", "From"), ("by", "By")) if grabs else (("at", "At"),):
+    for name, said in (("at", "From"), ("by", "By")) if stroke.brush == "grab" else (("at", "At"),):
         values = list(getattr(stroke, name))
         label(f"{said} {', '.join(axes[: len(values)])}")
         wide = (imgui.get_content_region_avail().x - gap * (len(values) - 1)) / len(values)
@@ -314,44 +329,24 @@ def selected(view: View) -> None:
             hint(f"{said} {axes[axis]}")
             if entered and math.isfinite(value):
                 values[axis] = value
-                made[name] = tuple(values)
-    material = None if stroke.brush in IMMATERIAL else POISSON if stroke.poisson is None else stroke.poisson
-    numbers: tuple[tuple[str, str, float | None, str], ...] = (
+                entries[name] = tuple(values)
+    for name, said, number, form in (
         ("angle", "Angle", stroke.angle, "%.1f\u00b0"),
         ("factor", "Factor", stroke.factor, "%.3f"),
-        ("radius", "Radius", stroke.radius, f"%.2f {'mm' if view.stage.kind == 'volume' else 'px'}"),
-        ("poisson", "Poisson ratio", material, "%.3f"),
-    )
-    for name, said, number, form in numbers:
+    ):
         if number is None:  # another brush's
             continue
-        label(said, _POISSON if name == "poisson" else "")
-        entered, now = typed(view, f"##{name} own", number, form)
+        label(said)
+        entered, now = typed(view, f"##{name}", number, form)
         if entered:
-            made[name] = now
-    if grabs:  # the others fade in one way
-        label("Fall-off", _FALLOFF)
-        changed, index = imgui.combo("##falloff own", stroke.scales - 1, list(FALLOFFS))
-        if changed:
-            made["scales"] = index + 1
-    changed, reach = _reach(stroke.reach, " own")
-    if changed:
-        made["reach"] = reach
-    if grabs and not stroke.also and stroke.reach is not None:
-        changed, flat = _plateau(stroke.flat, " own")
-        if changed:
-            made["flat"] = flat
-    if document.timed and not stroke.isotropic:
-        changed, time_radius = _time_radius(view, stroke, " own")
-        if changed:
-            made["time_radius"] = time_radius
-    _strength(view, i, own, stroke)
+            entries[name] = now
+    if entries:
+        view.attempt(lambda: document.change(i, view.tools.paired(stroke, replace(stroke, **entries))))
+    _live(view, i, own, stroke, _numbers(view, stroke) | _strength(own, stroke))
     if stroke.also:
         wrapped(f"Also to drag in the picture: {others(stroke)}.")
     if view.stage.kind == "video" and not document.timed:
         keyframes.fields(view, i, own)
-    if made:
-        view.attempt(lambda: document.change(i, view.tools.paired(stroke, replace(stroke, **made))))
     _arrival(view, i)
     _order(view, i)
 
@@ -373,38 +368,49 @@ def _order(view: View, i: int) -> None:
     hint("Delete the stroke (Delete)")
 
 
-def _strength(view: View, i: int, stroke: Stroke, now: Stroke) -> None:
-    document = view.document
+def _strength(stroke: Stroke, now: Stroke) -> dict[str, Any]:
     label("Strength", "How much of the stroke is applied; of an animated one, in this frame. Below 0, the opposite")
-    keyed = animated(stroke, "strength")
-
-    def preview(part: float) -> None:
-        then = replace(now, strength=part)
-        document.preview_as(edited(stroke, now, then, document.frame))
-
-    _part(view, "strength own", now.strength, (0.0, 1.0) if keyed else (LEAST, MOST), i, preview)
+    low, high = (0.0, 1.0) if animated(stroke, "strength") else (LEAST, MOST)
+    changed, value = slider("##strength own", 100 * now.strength, 100 * low, 100 * high, "%.0f %%")
+    return {"strength": min(max(value / 100, low), high)} if changed else {}
 
 
 def _amount(view: View) -> None:
     document = view.document
     label("Amount", "How much of all strokes is applied: less takes back, below 0 they do the opposite")
-    _part(view, "amount", document.state.rest.amount, (LEAST, MOST), None, document.preview_amount)
+    now = document.state.rest.amount
+    changed, value = slider("##amount", 100 * now, 100 * LEAST, 100 * MOST, "%.0f %%")
+    if changed:
+        _begin(view, None)
+    if changed and document.dragging:
+        view.attempt(lambda: document.preview_amount(min(max(value / 100, LEAST), MOST)))
+    _end(view)
 
 
-def _part(
-    view: View, name: str, now: float, limits: tuple[float, float], i: int | None, preview: Callable[[float], Any]
-) -> None:
-    """Draw the slider of a part, whose drag is a drag of the document."""
-    document = view.document
-    changed, value = slider(f"##{name}", 100 * now, 100 * limits[0], 100 * limits[1], "%.0f %%")
-    if imgui.is_item_activated():
+def _begin(view: View, i: int | None) -> None:
+    """Begin a drag of the document, of a slider."""
+    if not view.document.dragging:
         if isinstance(view.tools, VideoTools):
             view.tools.playback.pause()
-        view.attempt(lambda: document.begin_drag(i))
-    if changed and document.dragging:
-        view.attempt(lambda: preview(min(max(value / 100, limits[0]), limits[1])))
-    if imgui.is_item_deactivated() and document.dragging:
+        view.attempt(lambda: view.document.begin_drag(i))
+
+
+def _live(view: View, i: int, stroke: Stroke, now: Stroke, made: dict[str, Any]) -> None:
+    """Show changes of a stroke at once: they are one step for as long as a slider is held."""
+    document = view.document
+    if made:
+        _begin(view, i)
+    if made and document.dragging:
+        view.attempt(lambda: document.preview_as(edited(stroke, now, replace(now, **made), document.frame)))
+    _end(view)
+
+
+def _end(view: View) -> None:
+    document = view.document
+    if document.dragging and not (view.tools.dragging or imgui.is_any_item_active()):
+        trouble = document.trouble
         document.commit()
+        view.commands.message = trouble or view.commands.message
 
 
 def _arrival(view: View, i: int) -> None:

@@ -24,7 +24,6 @@ LINE: Colour = (0.21, 0.22, 0.235, 1.0)
 LETTERS = 15.0  # logical pixels
 # Of what lies over the picture, for draw lists: ABGR.
 WHITE, DARK, BLUE, RED, GREY = 0xFFFFFFFF, 0xA0000000, 0xFFFFA040, 0xFF5060FF, 0xFFC0C0C0
-VEIL = 0x8C3030E8  # over what is frozen
 SOFT, PALE, DIM, SHADE, BALL = 0x90FFFFFF, 0x68FFFFFF, 0x50FFFFFF, 0x40000000, 0x80FFA040
 
 
@@ -60,10 +59,11 @@ def style() -> None:
         TEXT: (names.text,),
         FAINT: (names.text_disabled,),
         GROUND: (names.window_bg,),
-        clear: (names.child_bg, names.scrollbar_bg, names.menu_bar_bg, names.table_row_bg),
+        clear: (names.child_bg, names.scrollbar_bg, names.table_row_bg),
         (0.16, 0.168, 0.18, 1.0): (names.popup_bg, names.title_bg, names.title_bg_active),
         LINE: (names.border, names.separator, names.table_row_bg_alt),
         (*PRIMARY[:3], 0.55): (names.header,),
+        RAIL: (names.menu_bar_bg,),
         FIELD: (names.frame_bg,),
         RAISED: (names.button, names.frame_bg_hovered, names.header_hovered, names.scrollbar_grab),
         PRESSED: (names.button_hovered, names.frame_bg_active, names.header_active, names.scrollbar_grab_hovered),

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
-import json
 import time
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
@@ -22,7 +20,6 @@ from supple.gpu.memory import wait
 from supple.gpu.plate import Sight
 from supple.gpu.screen import ALL, PLAIN, Part, Screen, canvas_texture, composed
 from supple.media import image
-from supple.media.files import replacing
 from supple.render.camera import Camera
 from supple.render.labels import LabelColours
 from supple.space.freezing import Freeze
@@ -31,11 +28,11 @@ from supple.viewer.document.background import Certifier
 from supple.viewer.document.editing import Document, Landmarks
 from supple.viewer.document.files import FileCommands
 from supple.viewer.document.keyframes import Part as KeyPart
-from supple.viewer.panels import theme
+from supple.viewer.document.settings import keep_recent, settings
 from supple.viewer.panels.slices import Slices, physical
 from supple.viewer.panels.stages import ImageStage, VideoStage, VolumeStage, filled
 from supple.viewer.tools.brushes import ImageTools, VideoTools
-from supple.viewer.tools.drawing import MASKS, Pair
+from supple.viewer.tools.drawing import Pair
 from supple.viewer.tools.planes import RENDERED
 from supple.viewer.tools.volumes import VolumeTools
 
@@ -44,13 +41,13 @@ _OUTER = 0.5  # coefficients from the outermost ones to the edges of a texture, 
 
 
 class Veil:
-    """Textures whose opacity is 1 - m, or 4 m (1 - m), at every coefficient of the freeze mask; made anew with that."""
+    """Textures whose opacity is 1 - m at every coefficient of the freeze mask; made anew with that."""
 
     def __init__(self, gpu: Gpu) -> None:
         self._gpu = gpu
         self.textures: dict[int, Any] = {}
         """Textures by the numbers under which ImGui knows them."""
-        self._known: dict[int, tuple[Freeze, int, bool]] = {}
+        self._known: dict[int, tuple[Freeze, int]] = {}
 
     def draw(
         self,
@@ -58,21 +55,20 @@ class Veil:
         mask: Freeze,
         sizes: Sequence[int],
         seen: Callable[[tuple[float, ...]], Pair],
+        colour: int,
         axes: tuple[int, int, int] = (2, 0, 1),
         index: int = 0,
-        *,
-        outline: bool = False,
     ) -> None:
-        """Draw the veil over a picture, or over a plane of a volume; its outline leaves the colours as they are.
+        """Draw the veil over a picture, or over a plane of a volume.
 
         Sizes are samples along each axis, x first; ``seen`` returns where a point is on the canvas. The axes are the
         plane's normal, the one across it and the one down, and the index is its place along the normal.
         """
         normal, across, down = axes
         which = _FIRST + normal
-        if self._known.get(which) != (mask, index, outline):
-            self._upload(which, mask, axes, index, outline)
-            self._known[which] = mask, index, outline
+        if self._known.get(which) != (mask, index):
+            self._upload(which, mask, axes, index)
+            self._known[which] = mask, index
         low, high = [0.0] * len(sizes), [0.0] * len(sizes)
         ends = [-0.5] * len(sizes), [n - 0.5 for n in sizes]
         for k in (across, down):
@@ -85,10 +81,10 @@ class Veil:
         right, left = low.copy(), high.copy()
         right[across], left[across] = high[across], low[across]
         first, second, third, fourth = (seen(tuple(corner)) for corner in (low, right, high, left))
-        lines.add_image_quad(imgui.ImTextureRef(which), first, second, third, fourth, col=theme.VEIL)
+        lines.add_image_quad(imgui.ImTextureRef(which), first, second, third, fourth, col=colour)
         lines.pop_clip_rect()
 
-    def _upload(self, which: int, mask: Freeze, axes: tuple[int, int, int], index: int, outline: bool) -> None:
+    def _upload(self, which: int, mask: Freeze, axes: tuple[int, int, int], index: int) -> None:
         normal, across, down = axes
         places: list[Any] = [
             np.zeros(1) if n == 1 else first + step * np.arange(1, n - 1)
@@ -103,8 +99,7 @@ class Veil:
             shade = shade.T
         shade = np.pad(shade, 1, mode="edge")  # at its very edge, a texture repeats
         pixels = np.full((*shade.shape, 4), 255, np.uint8)
-        veil = 1 - np.clip(shade, 0, 1)
-        pixels[..., 3] = np.rint(255 * (4 * veil * (1 - veil) if outline else veil))
+        pixels[..., 3] = np.rint(255 * (1 - np.clip(shade, 0, 1)))
         self.textures[which] = filled(self._gpu, self.textures.get(which), pixels)
 
 
@@ -204,10 +199,8 @@ class Painter:
 
 
 WIDE, STRIP = 348, 44  # logical pixels of the tools and the panel, and of the tools alone
-BAR, LANE, LINE = 44, 62, 24  # and of the timeline, the keys below it, and the status line
+TOP, BAR, LANE, LINE = 24, 44, 62, 24  # and of the menu, the timeline, the keys below it, and the status line
 SETTLED = 0.15  # seconds without a change, after which an image is drawn at full size
-FROZEN = "frozen"
-"""The name of the overlay of what is frozen."""
 COMPUTING = "computing \u2026"
 SLOW = 0.5  # seconds that a frame of a clip is waited for, after which that is said
 PATIENCE = 5.0  # seconds that saving an image waits for its frames
@@ -228,10 +221,17 @@ class View:
     landmarks: Landmarks | None = None  # of a volume
 
     def __post_init__(self) -> None:
-        self.overlay = ""  # one of `supple.gpu.plate.OVERLAYS`, or `FROZEN`
+        self.overlay = ""  # one of `supple.gpu.plate.OVERLAYS`
+        self.brush, self.own = (
+            self.tools.brush,
+            False,
+        )  # the last brush, and whether the selected stroke's numbers are seen
         self.listed: int | None = None  # the stroke that the list has scrolled to
         self.reached: int | None = None  # and the step of the history
-        self.sections = read_sections()  # those that were folded or opened
+        known = settings() if self.source is None else keep_recent(self.source)
+        self.sections = known.sections  # those that were folded or opened
+        self.recent = known.recent[self.source is not None :]  # other files
+        self.veil_colour, self.hinted = known.veil, known.hinted
         self.copy_text: Callable[[str], None] | None = None  # to the clipboard, if there is one
         self.typed: dict[str, float] = {}  # numbers being typed in the panel
         self.curves: Any = None, {}  # a stroke with keys, and what is drawn of them
@@ -277,9 +277,9 @@ class View:
 
     @property
     def area(self) -> tuple[float, float]:
-        """The size of the image's area, at the upper left corner."""
+        """The size of the image's area, at the left, below the menu."""
         width, height = self.logical
-        return max(width - WIDE, 64.0), max(height - LINE - self.bar, 64.0)
+        return max(width - WIDE, 64.0), max(height - TOP - LINE - self.bar, 64.0)
 
     @property
     def bar(self) -> int:
@@ -316,13 +316,14 @@ class View:
     def _shot(self, moving: bool) -> Shot:
         tools, document, ratio = self.tools, self.document, self.canvas.get_pixel_ratio()
         document.seek(round(self.frame))
-        width, height = (round(n * ratio) for n in self.area)
-        overlay, square = "" if self.overlay == FROZEN else self.overlay, 8.0 * ratio
+        (width, height), top = (round(n * ratio) for n in self.area), round(TOP * ratio)
+        lines = self.overlay == "grid" and not document.timed  # which are drawn over the picture
+        overlay, square = "" if lines else self.overlay, 8.0 * ratio
         first, scale, size, part = (0.0, 0.0), 1.0, (width, height), ALL
-        place, camera = (0, 0, width, height), _HOME
+        place, camera = (0, top, width, height), _HOME
         if isinstance(tools, VolumeTools):
             hidden = (0.0, 0.0, 1.0, 1.0)  # a pixel of it is drawn
-            place = physical(tools.places.get(RENDERED, hidden), ratio, size)
+            place = physical(tools.places.get(RENDERED, hidden), ratio, (width, top + height))
             size, camera = place[2:], tools.stage.placed(tools.view)
         else:
             first, scale, size, part = tools.view.drawn(size, ratio)
@@ -368,11 +369,6 @@ class View:
             return 0.0
         return (len(self._frames) - 1) / max(self._frames[-1] - self._frames[0], 1e-9)
 
-    @property
-    def veiled(self) -> bool:
-        """Return whether what is frozen is tinted: while it is painted, and as an overlay; it is outlined otherwise."""
-        return self.overlay == FROZEN or self.tools.brush in MASKS
-
     def write(self, path: str, force: bool) -> None:
         """Write the image of the canvas, drawn at full size."""
         image.write(path, self.pixels(), force=force)
@@ -394,7 +390,8 @@ class View:
             if stage.trouble:
                 raise SuppleError(stage.trouble)
         tools, slices = self.tools, self.slices
-        size = round(self.area[0] * shot.ratio), round(self.area[1] * shot.ratio)
+        top = round(TOP * shot.ratio)
+        size = round(self.area[0] * shot.ratio), top + round(self.area[1] * shot.ratio)
 
         def draw(drawing: Any) -> None:
             if not isinstance(tools, VolumeTools) or RENDERED in tools.places:
@@ -404,29 +401,4 @@ class View:
                 slices.update(tools)
                 slices.draw(drawing, PLAIN, tools, shot.ratio, size)
 
-        return np.ascontiguousarray(composed(self.gpu, size, draw)[..., :3])
-
-
-def _settings_file() -> Path:
-    from platformdirs import user_config_path
-
-    return user_config_path("supple", appauthor=False) / "window.json"
-
-
-def read_sections() -> dict[str, bool]:
-    """Return which sections are open, by their names; a file that is missing or broken says nothing."""
-    with contextlib.suppress(OSError, ValueError, RecursionError, ImportError):
-        data: Any = json.loads(_settings_file().read_text(encoding="utf-8"))
-        known = data.get("sections") if isinstance(data, dict) else None
-        if isinstance(known, dict):
-            return {name: opened for name, opened in known.items() if isinstance(opened, bool)}
-    return {}
-
-
-def write_sections(sections: dict[str, bool]) -> None:
-    """Keep which sections are open; a folder that cannot be written is ignored."""
-    with contextlib.suppress(OSError, SuppleError, ImportError):
-        place = _settings_file()
-        place.parent.mkdir(parents=True, exist_ok=True)
-        with replacing(place, force=True) as target:
-            target.write_text(json.dumps({"sections": sections}, indent=1), encoding="utf-8")
+        return np.ascontiguousarray(composed(self.gpu, size, draw)[top:, :, :3])

@@ -8,13 +8,14 @@ from collections.abc import Callable
 from imgui_bundle import imgui
 
 from supple.viewer.document.background import Task
+from supple.viewer.document.settings import keep
 from supple.viewer.panels import theme
-from supple.viewer.panels.view import View, write_sections
+from supple.viewer.panels.view import View
 
 LABEL = 104.0  # logical pixels of the labels before fields
 _RESTING = int(imgui.HoveredFlags_.delay_short | imgui.HoveredFlags_.allow_when_disabled)
 REST = -1e-3  # the width of what takes the rest of a line
-FOLDED = ("Straighten", "Folds and border", "Export options", "History")
+FOLDED = ("Straighten", "Folds and border", "Accuracy", "History")
 """The sections that are folded in the first window."""
 
 
@@ -28,16 +29,16 @@ def section(view: View, name: str, text: str = "") -> bool:
     imgui.pop_style_color()
     if now != opened:
         view.sections[name] = now
-        write_sections(view.sections)
+        keep(sections=view.sections)
     return now
 
 
-def label(text: str, tip: str = "") -> None:
+def label(text: str, tip: str = "", picture: Callable[[], None] | None = None) -> None:
     """Draw a label before a field, which takes the rest of the line."""
     imgui.align_text_to_frame_padding()
     imgui.text(text)
     if tip:
-        hint(tip)
+        hint(tip, picture)
     imgui.same_line(LABEL)
     imgui.set_next_item_width(REST)
 
@@ -57,15 +58,6 @@ def elided(text: str, wide: float) -> str:
             break
         head = min(12, left // 2)
         kept = f"{text[:head]}\u2026{text[len(text) - left + head :]}"
-    return kept
-
-
-def shortened(text: str, wide: float) -> str:
-    """Return a text that ends early as far as it does not fit a width."""
-    kept, left = text, len(text)
-    while left and imgui.calc_text_size(kept).x > wide:
-        left -= 1
-        kept = f"{text[:left].rstrip()}\u2026"
     return kept
 
 
@@ -153,11 +145,13 @@ def typed(view: View, name: str, value: float, form: str) -> tuple[bool, float]:
     return over, view.typed.pop(name) if over else value
 
 
-def hint(text: str | Callable[[], str]) -> None:
-    """Show a hint on the last item, if the pointer rests on it; a function is called only then."""
+def hint(text: str | Callable[[], str], picture: Callable[[], None] | None = None) -> None:
+    """Show a hint on the last item, if the pointer rests on it; functions are called, and draw below it, only then."""
     if imgui.is_item_hovered(_RESTING):
         imgui.begin_tooltip()
         imgui.push_text_wrap_pos(320.0)
         imgui.text(text if isinstance(text, str) else text())
         imgui.pop_text_wrap_pos()
+        if picture is not None:
+            picture()
         imgui.end_tooltip()

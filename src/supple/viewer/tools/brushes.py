@@ -13,6 +13,7 @@ from supple.viewer.document.editing import Document
 from supple.viewer.tools.drawing import CLICK, Held, Pair, Place
 from supple.viewer.tools.gestures import Event, Lead, Tools, commanded, shifted
 from supple.viewer.tools.keys import Tool
+from supple.viewer.tools.planes import holding
 from supple.viewer.tools.playback import Playback
 from supple.viewer.tools.viewport import UPRIGHT, Turn, Viewport
 
@@ -82,19 +83,19 @@ class ImageTools(Tools[Viewport]):
     def ring(self) -> float | None:
         """The brush's radius under the pointer, in logical pixels; None outside of the canvas."""
         held, pointer = self.held, None if self.brush == "level" else self.pointer
-        if pointer is None or not all(p < n for p, n in zip(pointer, self.view.canvas_size, strict=True)):
+        if pointer is None or holding({0: self.place}, *pointer) is None:
             return None
         return (self.radius if held is None else held.stroke.radius) * self._scale(())
 
     @property
     def grip(self) -> Pair | None:
         """The position of the knob of the line of symmetry; None where that is not drawn."""
-        return self._on_axis(self.view.canvas_size[1] - GRIP) if self.symmetric else None
+        return self._on_axis(sum(self.place[1::2]) - GRIP) if self.symmetric else None
 
     @property
     def tilt(self) -> Pair | None:
         """The position of the knob that tilts that line."""
-        return self._on_axis(GRIP) if self.symmetric else None
+        return self._on_axis(self.place[1] + GRIP) if self.symmetric else None
 
     def _on_axis(self, y: float) -> Pair:
         """Return where the line of symmetry is at a height on the canvas."""
@@ -105,7 +106,7 @@ class ImageTools(Tools[Viewport]):
     @property
     def place(self) -> Place:
         """The whole canvas."""
-        return (0.0, 0.0, *self.view.canvas_size)
+        return (0.0, self.view.top, *self.view.canvas_size)
 
     def _level(self, place: Pair) -> float:
         point, other = self.view.to_image(*place), 1 - self.across
@@ -151,7 +152,8 @@ class ImageTools(Tools[Viewport]):
         return True
 
     def _on_resize(self, event: Event) -> bool:
-        self._look(self.view.resize((float(event["width"]), float(event["height"])), event.get("pixel_ratio")))
+        size = float(event["width"]), float(event["height"])
+        self._look(self.view.resize(size, event.get("pixel_ratio"), event.get("top", 0.0)))
         return True
 
 

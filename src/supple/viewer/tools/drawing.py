@@ -6,13 +6,17 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from typing import Any, Literal
+
+import numpy as np
 
 from supple.deformation import Deformation
 from supple.errors import SuppleError
 from supple.space.domain import Domain
 from supple.space.freezing import Freeze
 from supple.strokes import LARGEST_ANGLE, LARGEST_FACTOR, PAINTINGS, REACH, Stroke
+from supple.strokes.stroke import Brush
 from supple.viewer.document.editing import Document
 from supple.viewer.tools.keys import Tool
 
@@ -177,6 +181,22 @@ def _sum(a: Point, b: Point) -> Point:
     return tuple(x + y for x, y in zip(a, b, strict=True))
 
 
+FELT = 0.05  # the part of a drag that is left where it is hardly seen
+_FAR = np.linspace(0.05, 20.0, 400)
+
+
+@lru_cache(maxsize=64)
+def extent(brush: Brush, poisson: float | None, scales: int, reach: float | None, flat: float) -> float:
+    """Return the distance from the point, in radii, at which `FELT` is left of the largest displacement."""
+    pull: dict[str, Any] = {"by": (1.0, 0.0), "scales": scales, "flat": flat}
+    given = {"grab": pull, "twist": {"angle": 1.0}}.get(brush, {"factor": 1.01})
+    radius = 100.0  # of which a drag by 1 is a small part
+    stroke = Stroke(at=(0.0, 0.0), brush=brush, radius=radius, poisson=poisson, reach=reach, **given)
+    points = np.stack([radius * _FAR, np.zeros_like(_FAR)], 1)
+    moved = np.hypot(*(Deformation((9, 9), border=None).add(stroke).forward(points) - points).T)
+    return float(_FAR[np.flatnonzero(moved >= FELT * moved.max())[-1]])
+
+
 STILL = 0.01  # samples: a painting leaves alone what moves less
 _APART = 0.25  # radii between two dabs of the freeze mask, whose edge is even then
 GROWTH = 1.1  # the factor of the brush for a notch of the wheel, which is 100
@@ -194,7 +214,7 @@ class Drawing(ABC):
         sides = [max(e, s) for e, s in zip(domain.extent[:n], domain.spacing[:n], strict=True)]
         smallest = min(domain.spacing[:n])
         self.radius_limits = (smallest, 4 * max(sides))
-        self._radius = max(min(sides) / 8, smallest)
+        self._radius = max(min(sides) / 12, smallest)
         self.brush: Tool = "grab"
         self.poisson: float | None = None
         self.scales = 1
@@ -204,6 +224,7 @@ class Drawing(ABC):
         self.strength = 1.0  # of a dab of a painting: the part of the way that it goes
         self.pen = False  # whether a pen was here
         self.pressing = True  # whether its pressure sets how much of a new stroke is made
+        self.bare = False  # whether strokes have no handles
         self.symmetric = False  # whether new strokes have a mirror image
         self.across, self.middle = 0, 0.5 * (document.shape[-1] - 1)
         """The axis across which they have it, x is 0; and where its line or plane lies on it, in samples."""
@@ -300,6 +321,20 @@ class Drawing(ABC):
         size = math.hypot(1.0, self.lean)
         normal[self.across], normal[other] = 1.0 / size, -self.lean / size
         return tuple(here), tuple(normal)
+
+    @property
+    def next_stroke(self) -> Stroke:
+        """What the brush would make at the first sample, before any drag."""
+        return self._begun((0.0,) * self.document.deformation.ndim)
+
+    @property
+    def extent(self) -> tuple[float, float | None]:
+        """How far a stroke is felt, in radii: to where a twentieth of it is left, and its reach."""
+        if self.brush in MASKS:
+            return 1.0, None
+        stroke = self.next_stroke if self.held is None else self.held.stroke
+        reach = PAINTED if self.brush in PAINTINGS else stroke.reach
+        return extent(stroke.brush, stroke.poisson, stroke.scales, reach, stroke.flat), reach
 
     def mirrored(self, point: tuple[float, ...]) -> tuple[float, ...]:
         """Return the mirror image of a point."""
@@ -426,7 +461,7 @@ class Drawing(ABC):
     def handles(self, among: Collection[int] | None = None) -> list[Handle]:
         """Return the visible handles of some strokes, or of all."""
         found = []
-        for i, track in self.document.tracks():
+        for i, track in () if self.bare else self.document.tracks():
             if among is not None and i not in among:
                 continue
             for nth, (pivot, end) in enumerate(track.handles):

@@ -21,11 +21,11 @@ Event = Mapping[str, Any]
 KNOB = 10.0  # the largest distance from a knob: of the split between before and after, of the line of symmetry
 _KEPT = "this frame is kept, as those at the ends are: choose another, or fewer in Export options, Keep ends"
 _STAYS = "this place is frozen, and no stroke moves it: thaw it first (V)"
-_LEFT = 1
-_CUT, _LINE, _TILT = "cut", "line", "tilt"
+_LEFT, _RIGHT = 1, 2
+_CUT, _LINE, _TILT, _SIZE = "cut", "line", "tilt", "size"
 _MOST = 1e4  # the largest turn of the wheel at once: larger powers overflow
 _REQUESTS = {"s": "save", "o": "open", "e": "export"}
-COMMANDS = frozenset((*_REQUESTS, "z", "y"))  # letters that do something together with Control
+COMMANDS = frozenset((*_REQUESTS, "z", "y", "h"))  # letters that do something together with Control
 _BRUSHES = {key.lower(): name for name, (key, _) in BRUSHES.items()}
 
 
@@ -66,12 +66,19 @@ class Tools(Drawing, Generic[V]):
         """Requests to the window: ``"save"``, ``"save as"``, ``"open"``, ``"export"``."""
         self.pointer: Pair | None = None  # the pointer on the canvas
         self._gesture: Held | Lead[V] | None = None
+        self._sized = 0.0, 1.0  # at the start of a drag of the brush's size: the radius, and the ring on the canvas
         self._refused: str | None = None
 
     @property
     def held(self) -> Held | None:
         """The stroke held by the pointer."""
         return self._gesture if isinstance(self._gesture, Held) else None
+
+    @property
+    def sizing(self) -> Pair | None:
+        """Where a drag of the brush's size began."""
+        gesture = self._gesture
+        return gesture.start if isinstance(gesture, Lead) and gesture.how == _SIZE else None
 
     @property
     def dragging(self) -> bool:
@@ -106,6 +113,8 @@ class Tools(Drawing, Generic[V]):
 
     def abandon(self) -> bool:
         """Undo the current drag; return whether there was any."""
+        if self.sizing is not None:
+            self.radius = self._sized[0]
         gesture, self._gesture = self._gesture, None
         if isinstance(gesture, Lead):
             self.view = gesture.before
@@ -141,6 +150,11 @@ class Tools(Drawing, Generic[V]):
         return "click"
 
     # Methods of the kinds of media.
+
+    @property
+    @abstractmethod
+    def ring(self) -> float | None:
+        """The brush's radius under the pointer, in logical pixels; None where it is not seen."""
 
     @property
     @abstractmethod
@@ -195,6 +209,8 @@ class Tools(Drawing, Generic[V]):
                 self._gesture.shift = shifted(event)
                 self._draw(self._gesture)
             how = self._beside
+        elif how is None and button == _RIGHT and self.ring:
+            how, self._sized = _SIZE, (self.radius, self.ring * self.extent[0])
         if self._gesture is None and how is not None:
             self._gesture = Lead(how, button, self.view, self.view, (x, y), (x, y))
         return self._gesture is not None
@@ -254,6 +270,9 @@ class Tools(Drawing, Generic[V]):
             self._lay(gesture, place)
         elif gesture.how == _TILT and self.grip is not None:
             self._tilted((place[0], gesture.start[1]), self.grip)
+        elif gesture.how == _SIZE:  # the ring follows the pointer
+            radius, ring = self._sized
+            self.radius = radius * max(1 + (place[0] - gesture.start[0]) / ring, 0.0)
         else:
             (x, y), (a, b) = place, gesture.start
             self.view = self._led(gesture.how, gesture.base, x - a, y - b)
@@ -327,6 +346,8 @@ class Tools(Drawing, Generic[V]):
                 self.document.undo()
         elif letter in ("z", "y"):
             self.document.redo()
+        elif letter == "h":
+            self.bare = not self.bare
         else:
             return False
         return True

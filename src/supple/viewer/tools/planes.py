@@ -168,14 +168,14 @@ def _within(point: tuple[float, ...], sizes: tuple[int, ...]) -> Point:
     return x, y, z
 
 
-def places_of(canvas: Pair, large: int | None) -> dict[int, Place]:
-    """Return the places of the visible views: the rendering is at the upper right."""
+def places_of(canvas: Pair, large: int | None, top: float = 0.0) -> dict[int, Place]:
+    """Return the places of the visible views, on a canvas that begins there: the rendering is at the upper right."""
     width, height = canvas
     if large is not None:
-        return {large: (0.0, 0.0, width, height)}
+        return {large: (0.0, top, width, height)}
     across, down = max((width - GAP) / 2, 1.0), max((height - GAP) / 2, 1.0)
-    right, below = across + GAP, down + GAP
-    corners = ((0.0, 0.0), (0.0, below), (right, below), (right, 0.0))
+    right, below = across + GAP, top + down + GAP
+    corners = ((0.0, top), (0.0, below), (right, below), (right, top))
     return {k: (x, y, across, down) for k, (x, y) in enumerate(corners)}
 
 

@@ -36,9 +36,9 @@ class Viewport:
     """An image on a canvas, turned as it is shown, zoomed and panned.
 
     Points of the image, as it is stored, are measured from the centre of its upper left pixel; those of the canvas are
-    in logical pixels, from its upper left corner. The centre of the canvas is always over the image, which stays
-    visible. The state is the zoom, and the point of the image in the centre of the canvas; without them, the image
-    fits, after a change of size too.
+    in logical pixels, from the upper left corner of the window: the canvas begins `top` below that. The centre of the
+    canvas is always over the image, which stays visible. The state is the zoom, and the point of the image in the
+    centre of the canvas; without them, the image fits, after a change of size too.
     """
 
     image_size: tuple[int, int]  # width and height
@@ -46,6 +46,7 @@ class Viewport:
     pixel_ratio: float = 1.0  # physical pixels for each logical pixel
     turn: Turn = UPRIGHT
     held: tuple[float, Pair] | None = None
+    top: float = 0.0
 
     def __post_init__(self) -> None:
         width, height = self.canvas_size
@@ -93,14 +94,14 @@ class Viewport:
     def to_image(self, x: float, y: float) -> Pair:
         """Return the point of the image under a point of the canvas; it may lie outside."""
         (width, height), (cx, cy), zoom = self.canvas_size, self.centre, self.zoom
-        dx, dy = self._back((x - width / 2) / zoom, (y - height / 2) / zoom)
+        dx, dy = self._back((x - width / 2) / zoom, (y - self.top - height / 2) / zoom)
         return cx + dx, cy + dy
 
     def to_canvas(self, x: float, y: float) -> Pair:
         """Return the position of a point of the image on the canvas."""
         (width, height), (cx, cy), zoom = self.canvas_size, self.centre, self.zoom
         dx, dy = self._shown(x - cx, y - cy)
-        return width / 2 + dx * zoom, height / 2 + dy * zoom
+        return width / 2 + dx * zoom, self.top + height / 2 + dy * zoom
 
     def _shown(self, x: float, y: float) -> Pair:
         """Return a displacement in the image as it is shown."""
@@ -121,7 +122,9 @@ class Viewport:
         """
         width, height = (n / ratio for n in size)
         inset = 0.5 / ratio
-        ends = [self.to_image(x, y) for x in (inset, width - inset) for y in (inset, height - inset)]
+        below = self.top + height
+        ys = (self.top + inset, below - inset)
+        ends = [self.to_image(x, y) for x in (inset, width - inset) for y in ys]
         origin, far = (tuple(map(of, *ends)) for of in (min, max))
         extent = far[0] - origin[0], far[1] - origin[1]
         scale = max(1.0 / (self.zoom * ratio * max(self.stretch)), max(extent) / (_MOST - 1))
@@ -131,7 +134,7 @@ class Viewport:
             p, q = self.to_image(x, y)
             return ((p - origin[0]) / scale + 0.5) / columns, ((q - origin[1]) / scale + 0.5) / rows
 
-        (x, y), (a, b), (c, d) = within(0.0, 0.0), within(width, 0.0), within(0.0, height)
+        (x, y), (a, b), (c, d) = (within(*at) for at in ((0.0, self.top), (width, self.top), (0.0, below)))
         return origin, scale, (columns, rows), (x, y, a - x, b - y, c - x, d - y)
 
     def holds(self, x: float, y: float) -> bool:
@@ -165,6 +168,6 @@ class Viewport:
         x, y = self._back(dx / zoom, dy / zoom)
         return replace(self, held=(zoom, (cx - x, cy - y)))
 
-    def resize(self, canvas_size: Pair, pixel_ratio: float | None = None) -> Self:
+    def resize(self, canvas_size: Pair, pixel_ratio: float | None = None, top: float = 0.0) -> Self:
         """Return the viewport for another size of canvas: the centre stays in place, and a fitted image still fits."""
-        return replace(self, canvas_size=canvas_size, pixel_ratio=pixel_ratio or self.pixel_ratio)
+        return replace(self, canvas_size=canvas_size, pixel_ratio=pixel_ratio or self.pixel_ratio, top=top)

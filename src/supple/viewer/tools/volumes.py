@@ -59,11 +59,11 @@ class VolumeTools(Tools[Camera]):
         self.active = RENDERED
         """The view under the pointer; during a gesture, that in which it began."""
         self.places: dict[int, Place] = {}
-        self._whole, self._base = canvas_size, self.sight
+        self._whole, self._top, self._base = canvas_size, 0.0, self.sight
         self._arrange()
 
     def _arrange(self) -> None:
-        self.places = places_of(self._whole, self.sight.large)
+        self.places = places_of(self._whole, self.sight.large, self._top)
         if RENDERED in self.places:
             left, top, width, height = self.places[RENDERED]
             self.corner = left, top
@@ -206,7 +206,7 @@ class VolumeTools(Tools[Camera]):
         button, rendering = event.get("button"), self.active == RENDERED
         if pans(event):
             return "pan" if rendering else _SLIDE
-        if button == _RIGHT:
+        if button == _RIGHT and not shifted(event):
             return "orbit" if rendering else _LEVEL
         if button == _LEFT and rendering and self.side is not None:
             return _CUBE
@@ -324,7 +324,7 @@ class VolumeTools(Tools[Camera]):
         return True
 
     def _on_resize(self, event: Event) -> bool:
-        self._whole = float(event["width"]), float(event["height"])
+        self._whole, self._top = (float(event["width"]), float(event["height"])), event.get("top", 0.0)
         self._arrange()
         self._look(self.view)
         return True

@@ -45,11 +45,12 @@ def chooser() -> Callable[[Question], FileDialog] | None:
 
     def choose(question: Question) -> FileDialog:
         path = question.path or ""
-        recipes = ["Recipes", "*.json", "All files", "*"]
-        if question.name == "open":
+        recipes, every = ["Recipes", "*.json"], ["All files", "*"]
+        if question.name in ("open", "load mask"):
             folder = os.path.join(os.path.dirname(path), "")
-            return FileDialog(dialogs.open_file(question.title, folder, recipes))
-        kinds = recipes if question.name == "save" else ["All files", "*"]
+            kinds = every + recipes if question.name == "open" else every
+            return FileDialog(dialogs.open_file(question.title, folder, kinds))
+        kinds = recipes + every if question.name == "save" else every
         return FileDialog(dialogs.save_file(question.title, path, kinds))
 
     return choose

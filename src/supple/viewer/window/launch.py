@@ -364,7 +364,9 @@ def view(
         widget = type("Widget", (RenderCanvas,), {"_esm": JS + KEYS})
     canvas = widget(size=(960, 600), max_fps=30, update_mode="ondemand")
     canvas.set_css_width("calc(100% - 4px)")  # of the cell, with its frame
-    return opened(source, recipe, canvas, loop, options=options)
+    made = opened(source, recipe, canvas, loop, options=options)
+    made.commands.windows = False
+    return made
 
 
 def serve(
@@ -387,6 +389,7 @@ def serve(
     with contextlib.closing(server.listening(port)) as listener:
         canvas = RenderCanvas(max_fps=30, update_mode="ondemand")
         with contextlib.closing(opened(source, recipe, canvas, loop, options=options)) as made:
+            made.commands.windows = False
             token = secrets.token_urlsafe(24)
             tell(f"http://{server.HOST}:{listener.getsockname()[1]}/?token={token}")
             app = server.guarded(asgi, token, f"{made.stage.name} - Supple")

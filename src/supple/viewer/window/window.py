@@ -14,12 +14,13 @@ from typing import Any
 from imgui_bundle import imgui
 from wgpu.utils.imgui import ImguiRenderer, ImguiWgpuBackend
 
-from supple.errors import SuppleError
+from supple.errors import SuppleError, facing
 from supple.gpu.device import Gpu
 from supple.gpu.screen import Screen
+from supple.viewer.document.words import WINDOW
 from supple.viewer.panels import actions, overlay, panel, theme
 from supple.viewer.panels.stages import VideoStage, VolumeStage
-from supple.viewer.panels.view import SETTLED, Shot, View
+from supple.viewer.panels.view import SETTLED, TOP, Shot, View
 from supple.viewer.tools.brushes import VideoTools
 from supple.viewer.tools.planes import RENDERED
 from supple.viewer.tools.volumes import VolumeTools
@@ -94,6 +95,14 @@ class Gui:
         if not imgui.is_popup_open("", imgui.PopupFlags_.any_popup):
             self._renderer.backend.io.want_capture_mouse = False
 
+    def close_lists(self, kept: int) -> bool:
+        """Close the menu, or other lists, but for as many popups; return whether there were more."""
+        imgui.set_current_context(self._renderer.imgui_context)
+        more = len(self._renderer.imgui_context.open_popup_stack) > kept
+        if more:
+            imgui.internal.close_popup_to_level(kept, True)
+        return more
+
     def lay(self, *, all: bool) -> None:
         """Lay out the marks, and the controls if all is to be."""
         size, ratio = self._canvas.get_logical_size(), self._canvas.get_pixel_ratio()
@@ -167,8 +176,8 @@ class Waking:
 
 @contextlib.contextmanager
 def unbroken() -> Iterator[None]:
-    """Delay Ctrl+C, and what terminates, until the end of a frame, so that it has a canvas."""
-    with _held((signal.SIGINT, *_ENDS), lambda: None):
+    """Delay Ctrl+C, and what terminates, until the end of a frame, so that it has a canvas; name what is in it."""
+    with facing(WINDOW), _held((signal.SIGINT, *_ENDS), lambda: None):
         yield
 
 
@@ -228,6 +237,8 @@ class Window(View):
     def _stir(self, event: dict[str, Any]) -> None:
         """Schedule frames for an event, even if the panel consumes it."""
         kind = event["event_type"]
+        if kind == "key_down" and event.get("key") == "Escape":  # of a question and a list, the list
+            event["stop_propagation"] = self._gui.close_lists(int(self.commands.asked is not None))
         if kind == "pointer_move" and not self._inside(event):
             self.tools.handle({"event_type": "pointer_leave"})
         if kind in ("pointer_down", "pointer_up") and event.get("button") not in range(1, 6):
@@ -237,7 +248,7 @@ class Window(View):
         self._waking.stir()
 
     def _inside(self, event: dict[str, Any]) -> bool:
-        return bool(event.get("x", 0) < self.area[0] and event.get("y", 0) < self.area[1])
+        return bool(event.get("x", 0) < self.area[0] and TOP <= event.get("y", 0) < TOP + self.area[1])
 
     @unbroken()
     def _event(self, event: dict[str, Any]) -> None:
@@ -300,7 +311,8 @@ class Window(View):
         ratio = self.canvas.get_pixel_ratio()
         if self._laid != (width, height, ratio):
             self._laid, self._followed = (width, height, ratio), -math.inf
-            tools.handle({"event_type": "resize", "width": width, "height": height, "pixel_ratio": ratio})
+            size = {"width": width, "height": height, "top": TOP, "pixel_ratio": ratio}
+            tools.handle({"event_type": "resize", **size})
         if isinstance(tools, VideoTools):
             tools.playback.frame_at(begun)
         moving = tools.dragging or self._lately or self._playing or self.refining
@@ -360,6 +372,7 @@ class Window(View):
             self._fill(shot)
         commands = self.commands
         busy = (commands.export is not None and not commands.export.done) or commands.following is not None
+        busy |= commands.beside is not None
         if busy or (commands.autosave is not None and commands.autosave.due):
             self._waking.later(0.25)  # to show progress, and to autosave
         self._waking.answer()
@@ -380,16 +393,16 @@ class Window(View):
             self.canvas.request_draw()
 
     def _controls(self) -> None:
+        actions.menu(self)
         panel.panel(self)
         actions.strip(self)
         overlay.bars(self)
         panel.list_keys(self)
 
     def drop(self, paths: list[str]) -> None:
-        """Open a file dropped on the window: a recipe here, other files in a window of their own."""
+        """Open a file dropped on the window."""
         for path in paths[:1]:
-            takes = self.commands.open if path.lower().endswith(".json") else self.commands.open_beside
-            self.attempt(partial(takes, path))
+            self.attempt(partial(self.commands.take, path))
 
     def _repr_mimebundle_(self, **options: Any) -> Any:
         return self.canvas._repr_mimebundle_(**options)

@@ -1,0 +1,66 @@
+"""What windows keep for the next ones: a file in the user's folder for settings."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from supple.errors import SuppleError
+from supple.media.files import replacing
+
+RECENT = 12
+"""The most files that are remembered."""
+Colour = tuple[float, float, float, float]
+RED: Colour = (0.91, 0.19, 0.19, 0.45)
+
+
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """What a window begins with."""
+
+    sections: dict[str, bool] = field(default_factory=dict)  # whether those that were folded or opened are open
+    recent: tuple[str, ...] = ()  # the files that were opened last, the newest first
+    veil: Colour = RED  # of what is frozen: red, green, blue and opacity
+    hinted: bool = False  # whether a stroke was made, so that the first hints are known
+
+
+def settings() -> Settings:
+    """Return what was kept; what is missing or broken is as in the first window."""
+    data: Any = None
+    with contextlib.suppress(OSError, ValueError, RecursionError, ImportError):
+        data = json.loads(_place().read_text(encoding="utf-8"))
+    known = data if isinstance(data, dict) else {}
+    sections, recent, veil = (known.get(name) for name in ("sections", "recent", "veil"))
+    opened = {k: on for k, on in sections.items() if isinstance(on, bool)} if isinstance(sections, dict) else {}
+    names = [name for name in recent if isinstance(name, str)] if isinstance(recent, list) else []
+    if not (isinstance(veil, list) and len(veil) == 4 and all(isinstance(v, int | float) for v in veil)):
+        veil = list(RED)
+    r, g, b, a = (min(max(v, 0.0), 1.0) for v in veil)
+    return Settings(opened, tuple(names[:RECENT]), (r, g, b, a), known.get("hinted") is True)
+
+
+def keep(**changes: Any) -> Settings:
+    """Keep some settings, and return all; those of other windows stay. A folder that cannot be written is ignored."""
+    made = replace(settings(), **changes)
+    with contextlib.suppress(OSError, SuppleError, ImportError):
+        place = _place()
+        place.parent.mkdir(parents=True, exist_ok=True)
+        with replacing(place, force=True) as target:
+            target.write_text(json.dumps(asdict(made), indent=1), encoding="utf-8")
+    return made
+
+
+def keep_recent(path: Path) -> Settings:
+    """Remember a file as the one that was opened last, and return all settings."""
+    name = os.path.abspath(path)
+    return keep(recent=(name, *(other for other in settings().recent if other != name))[:RECENT])
+
+
+def _place() -> Path:
+    from platformdirs import user_config_path
+
+    return user_config_path("supple", appauthor=False) / "window.json"
