@@ -252,7 +252,8 @@ def test_only_where_it_may_move_is_motion_computed() -> None:
 def test_frames_that_are_not_mixed_have_no_motion() -> None:
     source = clip_of([*range(COUNT)])
     d = Deformation((COUNT, *SIZE), border=None, time=True).grab((60, 50, 2), by=(9, 5, 0), radius=30)
-    motion = Motion(Work(d.space, Layout((Group(SIZE, 1),), source.dtype, 255.0), Sampling()), [source])
+    work = Work(d.space, Layout((Group(SIZE, 1),), source.dtype, 255.0), Sampling())
+    motion = Motion(work, [source], np.empty(Motion.shape_of(work, COUNT), np.float32))
     assert motion.between(range(2, 2)) is None
     assert motion.between(range(2, 3)) is not None
     np.testing.assert_array_equal(*(d.warp(source, between=between) for between in ("linear", "flow")))

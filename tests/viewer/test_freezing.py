@@ -514,7 +514,7 @@ def test_frames_of_a_clip_show_a_freeze_among_strokes(gpu: Gpu, clip: Path) -> N
     assert view._gui.trouble == view.stage.trouble == ""
     wanted = view.document.deformation.warp(view.stage.film.get(view.tools.playback.frame)[..., :3]).astype(int)
     shown = view.pixels().astype(int)
-    left, top = (math.floor(v) for v in view.tools.view.to_canvas(0, 0))
+    left, top = (math.floor(v) for v in np.subtract(view.tools.view.to_canvas(0, 0), (0, TOP)))
     assert min(left, top) >= 0
     part = shown[top : top + wanted.shape[0], left : left + wanted.shape[1], :3]
     assert np.abs(part - wanted[: part.shape[0], : part.shape[1]]).max() <= 1
@@ -593,6 +593,7 @@ class TestAmounts:
             grey_photo, Recipe(strokes=(Stroke.grab((400, 190), by=(100, 0), radius=60),)), size=(900, 1300)
         )
         view.document.select(0)
+        view.own = True
         for _ in range(2):
             hand.canvas.draw()
 
@@ -600,11 +601,11 @@ class TestAmounts:
             left, top, right, bottom = found[name]
             return left + (part + 1) / 3 * (right - left), 0.5 * (top + bottom)
 
-        hand.drag(at("##strength own", 1.0), at("##strength own", -0.5))
+        hand.drag(at("##strength", 1.0), at("##strength", -0.5))
         assert view.document.strokes[0].strength == pytest.approx(-0.5, abs=0.2)
-        hand.drag(at("##strength own", -0.5), at("##strength own", 2.0))
+        hand.drag(at("##strength", -0.5), at("##strength", 2.0))
         assert view.document.strokes[0].strength == pytest.approx(2.0, abs=0.05)
-        assert view.document.warning(0).startswith("200% of a drag by (100, 0) at (400, 190)")
+        assert view.document.warning(0).startswith("200% of Grab at (400, 190) by (100, 0)")
         assert view._gui.trouble == ""
         hand.drag(at("##amount", 1.0), at("##amount", 0.5))
         assert view.document.recipe.amount == pytest.approx(0.5, abs=0.2)

@@ -371,7 +371,7 @@ def _order(view: View, i: int) -> None:
 def _strength(stroke: Stroke, now: Stroke) -> dict[str, Any]:
     label("Strength", "How much of the stroke is applied; of an animated one, in this frame. Below 0, the opposite")
     low, high = (0.0, 1.0) if animated(stroke, "strength") else (LEAST, MOST)
-    changed, value = slider("##strength own", 100 * now.strength, 100 * low, 100 * high, "%.0f %%")
+    changed, value = slider("##strength", 100 * now.strength, 100 * low, 100 * high, "%.0f %%")
     return {"strength": min(max(value / 100, low), high)} if changed else {}
 
 
