@@ -106,9 +106,10 @@ class MapOptions:
         """
         from supple.cli.options_strokes import in_order
 
-        given, parts = strokes.given, iter(strokes.parts)
+        given, sizes = strokes.given, strokes.parts(arguments)
+        parts = iter(sizes)
         found = in_order(arguments, {**self.conventions, **given})
-        first = 0 if recipe is None else len(recipe.strokes) - sum(strokes.parts)
+        first = 0 if recipe is None else len(recipe.strokes) - sum(sizes)
         entries: list[_Entry] = []
         before, seen, pull, back = 0, False, False, False
         for option, value in found:

@@ -199,10 +199,9 @@ class StrokeOptions:
         """The values of the options that are strokes, or freezes among them."""
         return {option: list(getattr(self, option[2:])) for option in (*BRUSHES, "--freeze")}
 
-    @property
-    def parts(self) -> list[int]:
+    def parts(self, arguments: Sequence[str]) -> list[int]:
         """Of each stroke given, and each freeze that is not before all, how many it makes: two with a mirror image."""
-        found = [option for option, _ in in_order(current().arguments, self.given) if option != "--inverse"]
+        found = [option for option, _ in in_order(arguments, self.given) if option != "--inverse"]
         kept = itertools.dropwhile(lambda option: option == "--freeze", found)
         sizes = iter(getattr(self, "_sizes", ()))
         return [1 if option == "--freeze" else next(sizes, 1) for option in kept if option != "--recipe"]
@@ -210,7 +209,7 @@ class StrokeOptions:
     @property
     def count(self) -> int:
         """The number of strokes given, and of freezes that are not before all; without those of the recipe."""
-        return len(self.parts)
+        return len(self.parts(current().arguments))
 
     @property
     def any(self) -> bool:
