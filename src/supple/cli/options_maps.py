@@ -106,9 +106,10 @@ class MapOptions:
         """
         from supple.cli.options_strokes import in_order
 
-        given, sizes = strokes.given, strokes.parts(arguments)
-        parts = iter(sizes)
+        given = strokes.given
         found = in_order(arguments, {**self.conventions, **given})
+        sizes = strokes.parts(arguments)
+        parts = iter(sizes)
         first = 0 if recipe is None else len(recipe.strokes) - sum(sizes)
         entries: list[_Entry] = []
         before, seen, pull, back = 0, False, False, False
