@@ -20,7 +20,10 @@ def test_a_folder_goes_into_a_folder(run: Run) -> None:
     assert status == 2
     damaged, last = err.splitlines()
     assert "in/bad.png" in damaged
-    assert last == "supple: 2 of 3 files written into new/out, 1 failed; folders that were not entered: in/deep"
+    assert last == (
+        "supple: 2 of 3 files written into new/out, 1 failed: in/bad.png; folders that were not entered: in/deep "
+        "(--recursive enters them)"
+    )
     assert sorted(os.listdir("new/out")) == ["a.png", "b.jpg"]
     facts = {line["output"]: line for line in map(json.loads, out.splitlines())}
     assert sorted(facts) == ["new/out/a.png", "new/out/b.jpg", "new/out/bad.png"]
@@ -28,6 +31,43 @@ def test_a_folder_goes_into_a_folder(run: Run) -> None:
     assert facts["new/out/a.png"]["within"]
     assert run("warp", "in/a.png", "alone.png", "--recipe", "r.json")[0] == 0
     assert Path("alone.png").read_bytes() == Path("new/out/a.png").read_bytes()
+
+
+def test_folders_within_a_folder_and_files_that_are_there(run: Run) -> None:
+    pictures("in")
+    os.makedirs("in/deep/deeper")
+    for name in ("in/deep/c.png", "in/deep/deeper/a.png"):
+        image.write(name, noise(30, 40, 3))
+    Path("in/bad.png").unlink()
+    assert run("warp", "in", "in/out", *GRAB, "--recursive")[0] == 0
+    made = ["a.png", "b.jpg", "deep/a.png", "deep/c.png", "deep/deeper/a.png"]
+    found = sorted(str(path.relative_to("in/out")) for path in Path("in/out").rglob("*.*"))
+    assert [name for name in found if Path("in/out", name).is_file()] == made
+    # Again: what is there stays, byte for byte, and what is in the way is not overwritten.
+    Path("in/out/a.png").write_bytes(b"mine")
+    Path("in/out/deep/c.png").unlink()
+    status, _, err = run("warp", "in", "in/out", *GRAB, "--recursive", "--skip-existing", "--jobs", "1")
+    assert (status, err) == (0, f"supple: 1 file written into in/out, {len(made) - 1} there already\n")
+    assert Path("in/out/a.png").read_bytes() == b"mine"
+    status, _, err = run("warp", "in", "in/out", *GRAB, "--skip-existing")
+    assert (status, err.partition(";")[0]) == (0, "supple: 0 files written into in/out, 2 there already")
+
+
+@pytest.mark.parametrize(
+    ("more", "says"),
+    [
+        (("in/a.png", "x.png", "--jobs", "2"), "--jobs is for several files"),
+        (("in/a.png", "x.png", "--recursive"), "--recursive is for several files"),
+        (("in/a.png", "x.png", "--skip-existing"), "--skip-existing is for several files"),
+        (("in", "out", "--jobs", "0"), "--jobs must be a number of pictures from 1 on, found 0"),
+        (("in", "out", "--skip-existing", "--force"), "--force replaces what --skip-existing leaves as it is"),
+    ],
+)
+def test_options_of_several_files(run: Run, more: tuple[str, ...], says: str) -> None:
+    pictures("in")
+    assert says in one_line(run("warp", *more, *GRAB)[2])
+    assert not os.path.exists("x.png")
+    assert not os.path.exists("out")
 
 
 def test_one_volume_goes_into_a_folder(run: Run) -> None:
@@ -75,7 +115,7 @@ def test_several_names_go_into_a_folder(run: Run) -> None:
     status, _, err = run("warp", "in/a.png", "in/b.jpg", "out", *GRAB)
     assert status == 2
     assert err.count("--force") == err.count("\n") - 1 == 2
-    assert err.endswith("supple: 0 of 2 files written into out, 2 failed\n")
+    assert err.endswith("supple: 0 of 2 files written into out, 2 failed: in/a.png, in/b.jpg\n")
     status, _, err = run("warp", "in/a.png", "in/deep/a.png", "out", *GRAB)
     assert status == 2
     assert "both" in one_line(err)

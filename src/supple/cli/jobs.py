@@ -9,7 +9,7 @@ import shutil
 import sys
 import tempfile
 import threading
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from pathlib import Path
 
@@ -26,12 +26,13 @@ Job = tuple[Path, Path]
 PathLike = str | os.PathLike[str]
 
 
-def pair(given: Sequence[str], target: str) -> tuple[list[Job], bool, list[Path]]:
+def pair(given: Sequence[str], target: str, *, recursive: bool = False) -> tuple[list[Job], bool, list[Path]]:
     """Find the pictures, and name what each becomes.
 
     ``given`` are files, folders and patterns; ``target`` is a file, or a folder, if it is one, ends in a slash, or
     there may be several pictures. Returns sources and targets, in order; whether the target is a folder; and folders
-    within those that are given, or that match a pattern, which are not entered.
+    within those that are given, or that match a pattern, which are not entered, unless it is ``recursive``: then those
+    of the target have the same names.
     """
     left: list[Path] = []
     found: list[tuple[Path, Path]] = []  # with the name below the target
@@ -41,6 +42,11 @@ def pair(given: Sequence[str], target: str) -> tuple[list[Job], bool, list[Path]
         if os.path.isdir(name):
             several = True
             inside, folders = _pictures_in(path)
+            while recursive and folders:
+                within = folders.pop(0)
+                if os.path.realpath(within) != os.path.realpath(target):  # of an earlier run
+                    more, deeper = _pictures_in(within)
+                    inside, folders = inside + more, deeper + folders
             left += folders
             if not inside:
                 told = f"the folder {shown(name)} holds no pictures or DICOM slices"
@@ -83,6 +89,18 @@ def pair(given: Sequence[str], target: str) -> tuple[list[Job], bool, list[Path]
     return list(dict.fromkeys(jobs)), True, left
 
 
+def check_several(many: bool, force: bool, *, recursive: bool, skip_existing: bool, jobs: int | None) -> None:
+    """Refuse options for several files where there is one, or that contradict each other."""
+    given = {"--recursive": recursive, "--skip-existing": skip_existing, "--jobs": jobs is not None}
+    loose = next((option for option, on in given.items() if on), None)
+    if loose is not None and not many:
+        raise SuppleError(f"{loose} is for several files, a folder or a pattern, which become a folder: leave it out")
+    if skip_existing and force:
+        raise SuppleError("--force replaces what --skip-existing leaves as it is: give one of them")
+    if jobs is not None and jobs < 1:
+        raise SuppleError(f"--jobs must be a number of pictures from 1 on, found {jobs}")
+
+
 def _pictures_in(folder: Path) -> tuple[list[Path], list[Path]]:
     """Return the files of a folder that can be warped, and the folders in it."""
     try:
@@ -95,13 +113,18 @@ def _pictures_in(folder: Path) -> tuple[list[Path], list[Path]]:
     return files, [path for path in seen if os.path.isdir(path)]
 
 
-def summary(jobs: Sequence[Job], failed: int, target: str, left: Sequence[Path]) -> str:
-    """Return what became of several files, in one line."""
+def summary(jobs: Sequence[Job], failed: Collection[Path], there: int, target: str, left: Sequence[Path]) -> str:
+    """Return what became of several files, in one line: of those that ``failed``, and those that were there already."""
     count = len(jobs)
-    done = f"{count - failed} of {count} files" if failed else f"{count} file{'s' * (count > 1)}"
-    some = ", ".join(map(shown, left[:5])) + (f" and {len(left) - 5} more" if len(left) > 5 else "")
-    entered = f"; folders that were not entered: {some}" if left else ""
-    return f"{done} written into {shown(target)}{f', {failed} failed' if failed else ''}{entered}"
+    done = f"{count - len(failed)} of {count} files" if failed else f"{count} file{'s' * (count != 1)}"
+    kept = f", {there} there already" if there else ""
+    lost = f", {len(failed)} failed: {_some(sorted(failed))}" if failed else ""
+    entered = f"; folders that were not entered: {_some(left)} (--recursive enters them)" if left else ""
+    return f"{done} written into {shown(target)}{kept}{lost}{entered}"
+
+
+def _some(paths: Sequence[Path]) -> str:
+    return ", ".join(map(shown, paths[:5])) + (f" and {len(paths) - 5} more" if len(paths) > 5 else "")
 
 
 def make_folders(jobs: Sequence[Job]) -> None:

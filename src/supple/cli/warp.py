@@ -56,6 +56,7 @@ Tell = Callable[[str], None]
 Pair = tuple[Path, Path]
 
 WRITING = Group("Writing", sort_key=3)
+SEVERAL = Group("Several files", sort_key=6)
 
 _RUN = RunOptions()
 _SAMPLING = SamplingOptions()
@@ -87,6 +88,9 @@ def warp(
     labels: Annotated[bool, Parameter(group=VOLUME)] = False,
     save_field: Annotated[str | None, Parameter(group=VOLUME, metavar="FILE")] = None,
     volume: VolumeArguments = _VOLUME,
+    recursive: Annotated[bool, Parameter(group=SEVERAL)] = False,
+    skip_existing: Annotated[bool, Parameter(group=SEVERAL)] = False,
+    jobs: Annotated[int | None, Parameter(group=SEVERAL, metavar="N", allow_leading_hyphen=True)] = None,
     running: WorkerOptions = _WORKERS,
     device: Annotated[Warper, Parameter(group=RUNNING)] = "cpu",
     options: RunOptions = _RUN,
@@ -126,12 +130,18 @@ def warp(
     save_field
         Also write the displacement field of the inverse map, for SimpleITK, ANTs and 3D Slicer: NIfTI, NRRD,
         MHA or .h5; or beside a Zarr store, of both directions of the map, as OME-Zarr: .zarr.
+    recursive
+        Also enter the folders within a folder; what is written has the same folders.
+    skip_existing
+        Leave files that are there already as they are, and go on with the others.
+    jobs
+        How many pictures are bent at the same time (as many as there are processors, and memory for).
     device
         Where to compute: cpu (which auto is), or cuda (an NVIDIA GPU, for pictures and volumes).
     """
     console = current()
     from supple.arrays import check_device
-    from supple.cli.jobs import Crew, check_recipe_file, make_folders, pair, piped, summary
+    from supple.cli.jobs import Crew, check_recipe_file, check_several, make_folders, pair, piped, summary
     from supple.engine.sampling import FINEST
     from supple.files.jobs import Job
     from supple.files.recipes import write_recipe
@@ -179,6 +189,7 @@ def warp(
     if any(map(is_store, paths)):
         from supple.cli.stores import warp_stored
 
+        check_several(False, options.force, recursive=recursive, skip_existing=skip_existing, jobs=jobs)
         if save_recipe is not None:
             check_recipe_file(save_recipe, [(Path(paths[0]), Path(paths[-1]))], options.force)
         stored = warp_stored(console, paths, template, elements, running.to_running(), json=options.json)
@@ -196,14 +207,17 @@ def warp(
         # slices of DICOM go into a folder as one volume; others, as pictures do
         single = medium.kind == "clip" or (medium.kind == "volume" and (not into or medium.is_dicom))
     if single:
-        jobs, many = [(Path(paths[0]), Path(paths[1]))], False
+        pairs, many = [(Path(paths[0]), Path(paths[1]))], False
     else:
-        jobs, many, left = pair(paths[:-1], paths[-1])
+        pairs, many, left = pair(paths[:-1], paths[-1], recursive=recursive)
+    check_several(many, options.force, recursive=recursive, skip_existing=skip_existing, jobs=jobs)
+    there = [target for _, target in pairs if skip_existing and target.exists()]
+    pairs = [both for both in pairs if both[1] not in there]
     if save_recipe is not None:
-        check_recipe_file(save_recipe, jobs, options.force)
+        check_recipe_file(save_recipe, pairs, options.force)
 
     kept: set[Recipe] = set()
-    files = {job: File(shown(job[0]), shown(job[1]), many) for job in jobs}
+    files = {job: File(shown(job[0]), shown(job[1]), many) for job in pairs}
 
     def do(pair: Pair, tell: bool | Tell) -> None:
         with about(files[pair]):
@@ -233,32 +247,32 @@ def warp(
                 error = one_line(message)
                 console.tell({"input": str(pair[0]), "output": str(pair[1]), "error": error})
 
-    media = [replace(template, source=source, target=target).medium for source, target in jobs]
+    media = [replace(template, source=source, target=target).medium for source, target in pairs]
     kinds = {medium.kind for medium in media}
     if kinds != {"clip"}:  # clips raise an error of their own
         check_device(device)
     if many:
         from supple._core import threads
 
-        if elements:
+        if elements and media:
             try:
                 first = media[0].grid
             except SuppleError:
                 pass  # it is reported as one of the jobs
             else:
                 elements.read(first)  # a file of maps that cannot be read ends all jobs
-        make_folders(jobs)
+        make_folders(pairs)
         # Clips and volumes one at a time: each has work for all cores.
-        crew = min(len(jobs), threads()) if kinds == {"picture"} else 1
-        failures = Crew(crew).work(jobs, do, console, failed)
-        if len(jobs) > 1 or left:
-            console.note(summary(jobs, len(lost), paths[-1], left))
+        crew = min(len(pairs), threads()) if kinds == {"picture"} else 1
+        failures = Crew(max(crew if jobs is None else min(len(pairs), jobs), 1)).work(pairs, do, console, failed)
+        if len(pairs) > 1 or left or there:
+            console.note(summary(pairs, [source for source, _ in lost], len(there), paths[-1], left))
     else:
         failures = 0
         try:
-            do(jobs[0], console.terminal)
+            do(pairs[0], console.terminal)
         except SuppleError as error:
-            failed(jobs[0], str(error))
+            failed(pairs[0], str(error))
             raise
     if save_recipe is not None:
         write_recipe(save_recipe, _shared(recipe, kept), force=options.force)
