@@ -238,3 +238,7 @@ class TestRecipes:
 def test_what_cannot_be_is_refused(call: Any, said: str) -> None:
     with pytest.raises(SuppleError, match=said):
         call()
+
+
+def test_one_number_is_a_width() -> None:
+    assert supple.Straighten(scale_to=300).scale_to == (300,)  # type: ignore[arg-type]

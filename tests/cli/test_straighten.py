@@ -133,3 +133,10 @@ def test_other_media_and_plots_say_that_it_is_for_pictures(
     assert status == 2
     assert "straighten" in one_line(err)
     assert not Path(target).exists()
+
+
+def test_info_tells_of_it(run: Run) -> None:
+    Path("r.json").write_text(
+        '{"supple": 3, "straighten": {"rotate": -2.5, "fit": "pad", "scale_to": [300]}, "strokes": []}'
+    )
+    assert "  straighten  turn -2.5°; size 300; pad\n" in run("info", "r.json")[1]

@@ -277,6 +277,14 @@ def _recipe(name: str, recipe: Recipe) -> str:
     lines += [f"  border      {border}", f"  on fold     {recipe.on_fold}", f"  amount      {100 * recipe.amount:g}%"]
     if recipe.freeze is not None:
         lines.append(f"  freeze      {100 * recipe.freeze.share:.0f}% of {spoken(recipe.freeze.samples)}")
+    if (how := recipe.straighten) is not None:
+        what = {
+            f"turn {how.rotate:g}\u00b0": how.rotate,
+            "shear {:g}\u00b0, {:g}\u00b0".format(*how.shear): any(how.shear),
+        }
+        what["keystone " + " ".join(",".join(f"{v:g}" for v in p) for p in how.keystone)] = bool(how.keystone)
+        what["size " + " x ".join(map(str, how.scale_to))] = bool(how.scale_to)
+        lines.append(f"  straighten  {'; '.join([*(name for name, given in what.items() if given), how.fit])}")
     if recipe.time_scale is not None:
         lines.append(f"  a frame     is worth {recipe.time_scale:g} pixels")
     for i, s in enumerate(recipe.strokes):

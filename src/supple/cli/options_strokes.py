@@ -132,8 +132,6 @@ class StrokeOptions:
     matte
         Picture, video or image sequence that multiplies strokes: white where they apply in full, black where they
         move nothing; its opacity, if it has some. Give it once for all strokes, or once for each (none: without).
-    mirror
-        Make each stroke of the command line on the other side as well: of the line x = X, or of one through two points.
     on_fold
         What to do with a stroke that would fold the picture or that the border holds back. flow (default): carry
         all of it out, in smaller steps. damp: weaken it. error: stop.
@@ -142,6 +140,8 @@ class StrokeOptions:
         of the picture as at 100%. Beyond 100%, as much as is possible without a fold, and it is said if that is less.
     strength
         The same for single strokes: give it once for all, or once for each.
+    mirror
+        Make each stroke of the command line on the other side as well: of the line x = X, or of one through two points.
     fit
         How a recipe that was made for another size fits: pixels takes its numbers as they are; stretch scales width
         and height by factors of their own; inside keeps proportions, centred. One of the same proportions is scaled
@@ -183,8 +183,8 @@ class StrokeOptions:
         Literal["damp", "flow", "error"] | None, Parameter(metavar="flow|damp|error", show_choices=False)
     ] = None
     amount: Annotated[str | None, Parameter(allow_leading_hyphen=True, metavar="PART")] = None
-    mirror: Annotated[str | None, Parameter(allow_leading_hyphen=True, metavar="X|X,Y:X,Y")] = None
     strength: Annotated[list[str], Parameter(allow_leading_hyphen=True, metavar="PART", show_default=False)] = ()  # type: ignore[assignment]
+    mirror: Annotated[str | None, Parameter(allow_leading_hyphen=True, metavar="X|X,Y:X,Y")] = None
     fit: Annotated[
         list[Literal["pixels", "stretch", "inside", "crop", "pad", "keep"]],
         Parameter(metavar="pixels|stretch|inside|crop|pad|keep", show_choices=False, show_default=False),

@@ -40,7 +40,7 @@ class Straighten:
     keystone : sequence of four points
         The corners of what shall be an upright rectangle, in pixels: top left, top right, bottom right, bottom left.
         Its sides are as long as opposite sides are on average, and its middle stays where it is.
-    scale_to : sequence of int
+    scale_to : int or sequence of int
         The width of the result in pixels, or its width and height: nothing is distorted, and the frame gets their
         proportions. Empty: pixels keep their size.
     fit : str
@@ -67,7 +67,8 @@ class Straighten:
         quad = tuple(point(f"keystone[{i}]", p, (2,)) for i, p in enumerate(corners))
         if quad and not _is_convex(np.array(quad)):
             refuse("keystone", f"{what} of a frame without notches", self.keystone)
-        sizes = items("scale_to", self.scale_to, "a width, or a width and a height", (0, 1, 2))
+        given_sizes = np.atleast_1d(np.asarray(self.scale_to, object)).tolist()  # of one number, too
+        sizes = items("scale_to", given_sizes, "a width, or a width and a height", (0, 1, 2))
         most = f"a number of pixels from 1 to {_LONGEST}"
         choice("fit", self.fit, FRAMES)
         checked = {

@@ -459,9 +459,11 @@ def _bent_grid(deformation: Deformation, view: Viewport) -> list[list[Any]]:
 
 def bars(view: View) -> None:
     """Draw the timeline and the status line."""
+    said = status(view)
+    lines = imgui.calc_text_size(said, wrap_width=view.area[0] - 16).y - imgui.get_text_line_height()
     if isinstance(view.stage, VideoStage):
-        _timeline(view, view.stage)
-    _status(view)
+        _timeline(view, view.stage, LINE + lines)
+    _status(view, said, LINE + lines)
 
 
 def _handles(view: View, lines: imgui.ImDrawList) -> None:
@@ -485,12 +487,12 @@ def _handles(view: View, lines: imgui.ImDrawList) -> None:
     strokes(view, lines, placed, there, ball)
 
 
-def _timeline(view: View, stage: VideoStage) -> None:
+def _timeline(view: View, stage: VideoStage, below: float) -> None:
     tools = view.tools
     assert isinstance(tools, VideoTools)
     playback = tools.playback
     width, height = view.area[0], view.logical[1]
-    _begin_bar("timeline", height - LINE - view.bar, width, view.bar, (8, 8))
+    _begin_bar("timeline", height - below - view.bar, width, view.bar, (8, 8))
     if icon_button("play", theme.PAUSE if playback.playing else theme.PLAY, imgui.get_frame_height()):
         tools.press(" ")
     hint("Pause (Space)" if playback.playing else "Play (Space)")
@@ -554,10 +556,10 @@ def _at_frame(frame: float, playback: Playback) -> float:
     return low.x + inset + (high.x - low.x - 2 * inset) * frame / max(playback.count - 1, 1)
 
 
-def _status(view: View) -> None:
-    said, wide = status(view), view.area[0]
-    high = imgui.calc_text_size(said, wrap_width=wide - 16).y + LINE - imgui.get_text_line_height()
-    _begin_bar("status", view.logical[1] - high, wide, high, (8, 3))  # over the picture, where it has several lines
+def _status(view: View, said: str, high: float) -> None:
+    _begin_bar(
+        "status", view.logical[1] - high, view.area[0], high, (8, 3)
+    )  # over the picture, if it has several lines
     wrapped(said, colour=theme.TEXT)
     _end_bar()
 
