@@ -388,3 +388,23 @@ def test_the_status_says_where_an_export_samples_otherwise(
     view.commands.options = {**view.commands.options, "clip": ClipOptions(between="flow")}
     view.document.load(Recipe(strokes=(MOVING,)))  # of which each frame is one
     assert said not in overlay.status(view)
+
+
+def test_a_long_message_is_below_the_timeline(gpu: Gpu, clip: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from supple.viewer.panels import overlay
+
+    bars: dict[str, tuple[float, float]] = {}
+    begin = overlay._begin_bar
+
+    def watched(name: str, top: float, wide: float, high: float, padding: tuple[float, float]) -> None:
+        bars[name] = top, high
+        begin(name, top, wide, high, padding)
+
+    monkeypatch.setattr(overlay, "_begin_bar", watched)
+    view, hand = opened(clip)
+    view.commands.message = "what is said here takes several lines of the window, " * 6
+    for _ in range(2):
+        hand.canvas.draw()
+    (top, high), (below, rest) = bars["timeline"], bars["status"]
+    assert rest > 30
+    assert (top + high, below + rest) == pytest.approx((below, view.logical[1]))
