@@ -357,6 +357,9 @@ class Deformation:
                 outside = None if i in roaming else last_outside(made)
             except SuppleError as error:
                 raise type(error)(f"{which}{error}") from None
+            part, whole_part = part_of(stroke, recipe.amount), recipe.amount * stroke.strength
+            more = f"{whole_part:.0%} is more than a stroke can be: {part:.0%} is carried out"
+            _warn(None if part == whole_part or stroke.brush == "freeze" else f"{which}{more}", FoldWarning, say)
             _warn(outside and f"{which}{outside}", OutsideWarning, say)
             _warn(*_missed(made._resolved[-1], which), say)
             last = visible[k + 1][0] if k + 1 < len(visible) else len(recipe.strokes)
@@ -1294,13 +1297,18 @@ def _freeze_of(mask: npt.ArrayLike, domain: Domain) -> Freeze:
     return Freeze.of(array, spacing=domain.spacing[: array.ndim])
 
 
+def part_of(stroke: Stroke, amount: float) -> float:
+    """Return the part of a stroke that is applied: the product of both, as far as strokes can be."""
+    return min(max(amount * stroke.strength, LEAST), MOST)
+
+
 def reduced(stroke: Stroke, amount: float, whole: Deformation, now: Deformation) -> Stroke:
     """Return the applied part of a recipe's stroke, by the recipe's amount and the stroke's strength.
 
     ``whole`` and ``now`` are the strokes before it, at full strength and as applied: the same object if equal.
     """
-    part = min(max(amount * stroke.strength, LEAST), MOST)
-    if (part == 1 and whole is now) or stroke.brush == "freeze":
+    part = part_of(stroke, amount)
+    if (part == stroke.strength == 1 and whole is now) or stroke.brush == "freeze":
         return stroke
     at = stroke.at if whole is now else tuple(now.forward(whole.inverse(stroke.at).points).tolist())
     domain, time_radius = now.domain, stroke.time_radius

@@ -160,7 +160,9 @@ def test_strict_goes_on_with_the_other_files_of_a_batch(run: Run) -> None:
     *lines, last = err.splitlines()
     assert all(line.startswith("supple: many/") for line in lines)
     assert len(lines) == 5
-    assert last == "supple: 1 of 6 files written into bent, 5 failed"
+    assert last == (
+        "supple: 1 of 6 files written into bent, 5 failed: many/0.png, many/1.png, many/3.png, many/4.png, many/5.png"
+    )
 
 
 @pytest.mark.parametrize("value", ["abc", "0", "-2", "2x", "²"])

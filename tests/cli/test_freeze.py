@@ -244,3 +244,38 @@ def test_each_stroke_has_its_strength(run: Run) -> None:
     two = ("--grab", "28,16:33,18", "--grab", "10,30:12,30", "--radius", "5", "--strength", "50%", "--strength=200%")
     assert run("warp", "in.png", "out.png", *two, "--save-recipe", "r.json")[0] == 0
     assert [stroke.strength for stroke in Recipe.from_json(Path("r.json").read_text()).strokes] == [0.5, 2.0]
+
+
+def test_a_freeze_between_a_recipe_without_strokes_and_a_map(run: Run) -> None:
+    image.write("mask.png", np.where(disc(), 255, 0).astype(np.uint8))
+    Path("empty.json").write_text('{"supple": 3, "border": "auto", "strokes": []}')
+    Path("shift.txt").write_text("1 0 4\n0 1 0\n0 0 1\n")
+    rest = ("--affine", "1,0,4,0,1,0", "--freeze", "mask.png", *GRAB, "--json")
+    plain = run("warp", "in.png", "plain.png", *rest)
+    beside = run("warp", "in.png", "beside.png", "--recipe", "empty.json", *rest)
+    assert plain[0] == beside[0] == 0, (plain[2], beside[2])
+    assert Path("plain.png").read_bytes() == Path("beside.png").read_bytes()
+
+
+def test_a_recipe_s_freeze_is_thawed(run: Run) -> None:
+    image.write("mask.png", np.where(disc(), 255, 0).astype(np.uint8))
+    first = ("--grab", "10,10:12,11", "--radius", "6")
+    saved = run("warp", "in.png", "a.png", *first, "--freeze", "mask.png", *first[:2], "--save-recipe", "r.json")
+    assert saved[0] == 0, saved[2]
+    status, _, err = run("warp", "in.png", "b.png", "--recipe", "r.json", "--freeze", "none", *GRAB)
+    assert status == 0, err
+
+
+@pytest.mark.parametrize(
+    ("more", "says"),
+    [
+        (("--rotate", "5", "--freeze", "mask.png"), "--freeze is for strokes, and there are none"),
+        (("--rotate", "5", "--border", "20"), "--border is for strokes, and there are none"),
+        (("--push", "10,20:30,20:4", "--radius", "6", "--time-radius", "3"), "a push has none: leave it out"),
+        ((*GRAB, "--strength", "50%", "--strength", "60%"), "--strength is given 2 times for one stroke"),
+    ],
+)
+def test_what_is_of_no_stroke_is_refused(run: Run, more: tuple[str, ...], says: str) -> None:
+    image.write("mask.png", np.where(disc(), 255, 0).astype(np.uint8))
+    assert says in one_line(run("warp", "in.png", "x.png", *more)[2])
+    assert not Path("x.png").exists()

@@ -85,7 +85,7 @@ REFUSED: dict[str, list[tuple[str, str]]] = {
             "--freeze none thaws what was frozen before it, and nothing was: leave it out",
         ),
         ("--strength 3", "--strength must be a part of the strokes, from -100% to 200%, or from -1 to 2, found '3'"),
-        ("--strength 1 --strength 2", "--strength is given 2 times for 1 strokes: give it once, or for each"),
+        ("--strength 1 --strength 2", "--strength is given 2 times for one stroke: give it once, or for each"),
         ("--freeze-width 9", "--freeze-width is for a freeze mask, and there is none"),
         ("--freeze square.png --freeze-width 0", "--freeze-width must be a number above 0"),
         ("--freeze square.png --freeze-width 1", "--freeze-width must be at least 4 samples, found 1"),

@@ -115,7 +115,8 @@ class MapOptions:
         before, seen, pull, back = 0, False, False, False
         for option, value in found:
             if option == "--freeze" and not seen:
-                continue  # before all strokes, of which it is none
+                before += next(parts)  # before all strokes, of which it is none
+                continue
             pull = option == "--pull" or (pull and option not in ("--field", "--affine"))
             if option == "--recipe" or (option in given and not seen):
                 before, seen = before + first * (not seen), True

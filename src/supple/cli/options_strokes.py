@@ -1,6 +1,5 @@
 """Options of strokes, in the order in which they are given, and the recipe that they make."""
 
-import itertools
 import math
 import os
 from collections.abc import Callable, Mapping, Sequence
@@ -200,22 +199,31 @@ class StrokeOptions:
         return {option: list(getattr(self, option[2:])) for option in (*BRUSHES, "--freeze")}
 
     def parts(self, arguments: Sequence[str]) -> list[int]:
-        """Of each stroke given, and each freeze that is not before all, how many it makes: two with a mirror image."""
-        found = [option for option, _ in in_order(arguments, self.given) if option != "--inverse"]
-        kept = itertools.dropwhile(lambda option: option == "--freeze", found)
-        sizes = iter(getattr(self, "_sizes", ()))
-        return [1 if option == "--freeze" else next(sizes, 1) for option in kept if option != "--recipe"]
+        """Of each stroke and freeze given, how many it makes: two of a mirrored one, none of the recipe's mask."""
+        sizes, freezes = (iter(getattr(self, name, ())) for name in ("_sizes", "_freezes"))
+        found, first = list[int](), True
+        for option, _ in in_order(arguments, self.given):
+            if option == "--freeze":
+                found.append(next(freezes, int(not first)))
+            elif option in BRUSHES:
+                found.append(next(sizes, 1))
+            first = first and option not in (*BRUSHES, "--recipe")
+        return found
 
     @property
     def count(self) -> int:
         """The number of strokes given, and of freezes that are not before all; without those of the recipe."""
-        return len(self.parts(current().arguments))
+        return sum(size > 0 for size in self.parts(current().arguments))
 
     @property
     def any(self) -> bool:
         """Return whether there is anything to do."""
-        given = any(getattr(self, option[2:]) for option in BRUSHES)
-        return given or self.recipe is not None or self.straightens
+        return self.bends or self.straightens
+
+    @property
+    def bends(self) -> bool:
+        """Return whether there are strokes, or a recipe."""
+        return self.recipe is not None or any(getattr(self, option[2:]) for option in BRUSHES)
 
     @property
     def straightens(self) -> bool:
@@ -225,7 +233,7 @@ class StrokeOptions:
     def refuse_alone(self) -> None:
         """Raise SuppleError for what is said of strokes where there are none, and none are needed."""
         loose = next((name for name in (*_OF_EACH, *_OF_ALL) if getattr(self, name)), None)
-        if loose is not None and not self.any:
+        if loose is not None and not self.bends:
             option = f"--{loose.replace('_', '-')}"
             raise SuppleError(f"{option} is for strokes, and there are none: {_ONE_OF}, a --recipe, or leave it out")
 
@@ -294,6 +302,8 @@ class StrokeOptions:
         space = next((one.space for one in found if one.space is not None), None)
         if not strokes and self.recipe is None and not (empty or self.straightens):
             raise SuppleError(f"nothing to do: give --grab X,Y:X,Y --radius R, {others or 'or '}--recipe FILE")
+        if self.straightens and not empty:
+            self.refuse_alone()
         if self.recipe is None:
             made = Recipe()
         else:
@@ -337,18 +347,21 @@ class StrokeOptions:
         from supple.strokes import Stroke
 
         strokes, place, mask = [*recipe.strokes], 0, recipe.freeze
-        sizes = iter(getattr(self, "_sizes", ()))
+        sizes, self._freezes = iter(getattr(self, "_sizes", ())), list[int]()
+        known = next((stroke.matte for stroke in reversed(strokes[:own]) if stroke.brush == "freeze"), None)
         for option, text in in_order(current().arguments, self.given):
             if option in BRUSHES:
                 place = max(place, own + len(strokes) - len(recipe.strokes)) + next(sizes)
             elif option == "--recipe":
                 place = max(place, own + len(strokes) - len(recipe.strokes))
+                mask = known or mask
             elif option == "--freeze":
                 if text == "none" and mask is None:
                     raise SuppleError("--freeze none thaws what was frozen before it, and nothing was: leave it out")
                 mask = mask.freed if text == "none" and mask is not None else _freeze(text, self.freeze_width)
                 if place == 0:
                     recipe = replace(recipe, freeze=None if text == "none" else mask)
+                    self._freezes.append(0)
                     continue
                 if place == len(strokes) and not last:
                     first = ", and before --recipe for its strokes" if own else ""
@@ -358,6 +371,7 @@ class StrokeOptions:
                     )
                 at = (*mask.middle, 0.0)[: strokes[0].ndim]
                 strokes.insert(place, Stroke.freeze(mask, at=at))
+                self._freezes.append(1)
                 place += 1
         return replace(recipe, strokes=tuple(strokes))
 
@@ -400,7 +414,8 @@ class StrokeOptions:
         flats = iter(_spread("--flat", self.flat, len(self.grab), _FLAT, "grab") or [0.0] * len(self.grab))
         parts = [_part("--strength", text) for text in self.strength] or [1.0]
         if len(parts) not in (1, count):
-            raise SuppleError(f"--strength is given {len(parts)} times for {count} strokes: give it once, or for each")
+            strokes = f"{count} strokes" if count != 1 else "one stroke"
+            raise SuppleError(f"--strength is given {len(parts)} times for {strokes}: give it once, or for each")
         mattes = self._mattes(count)
         made: list[_Given] = []
         for i, (option, text) in enumerate(found):
@@ -553,7 +568,8 @@ def _stroke(
         if option == "--grab":
             return Stroke.grab(at, path=rest, flat=flat, **known)  # type: ignore[arg-type]
         if option == "--push":
-            brush.pop("time_radius")
+            if brush.pop("time_radius") is not None:
+                raise SuppleError("--time-radius is for strokes with a time, and a push has none: leave it out")
             return Stroke.push([at, *rest[:-1]], by=rest[-1][0], **brush)  # type: ignore[arg-type]
         amount = {"angle" if option == "--twist" else "factor": rest[0][0]}
         axis = tuple(rest[1]) if len(rest) > 1 else None

@@ -91,7 +91,7 @@ def farthest(stroke: Stroke, domain: Domain, on_fold: FoldPolicy) -> tuple[Strok
     except SuppleError as error:
         if on_fold == "error" or 0 <= part <= 1:
             raise
-        reason = str(error)
+        reason, first = str(error), error
     made = stroke.weakened(low)
     while abs(high - low) > 0.01:
         middle = (low + high) / 2
@@ -100,6 +100,8 @@ def farthest(stroke: Stroke, domain: Domain, on_fold: FoldPolicy) -> tuple[Strok
             made, low = tried, middle
         except SuppleError:
             high = middle
+    if low == 0.0:  # it is not the strength that is wrong
+        raise first
     resolved = resolve(made, domain, on_fold)
     warning = f"{part:.0%} of {described(stroke)} is carried out at {low:.0%}, as far as is possible: {reason}"
     if whole is stroke:  # beyond what strokes can be

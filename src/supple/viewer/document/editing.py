@@ -11,7 +11,7 @@ from typing import Literal, Self
 import numpy as np
 import numpy.typing as npt
 
-from supple.deformation import Arrival, Deformation, after, last_outside, reduced
+from supple.deformation import Arrival, Deformation, after, last_outside, part_of, reduced
 from supple.errors import SuppleError
 from supple.files.clips import parts_of, with_ends
 from supple.files.volumes import indexed, placed
@@ -134,7 +134,7 @@ class Solved:
     def kept(self, stroke: Stroke, k: int) -> Stroke:
         """Return a stroke drawn on screen before visible stroke number ``k``, in coordinates of the recipe."""
         whole, now = self.before(k)
-        part = self.amount * stroke.strength
+        part = part_of(stroke, self.amount)
         if whole is not now:
             stroke = replace(stroke, at=tuple(whole.forward(now.inverse(stroke.at).points).tolist()))
         return replace(stroke.weakened(1 / part), strength=stroke.strength) if part not in (0, 1) else stroke
