@@ -48,7 +48,7 @@ def test_several_videos_go_into_a_folder(run: Run) -> None:
     Path("bad.mp4").write_text("hello")
     status, out, err = run("warp", "a.mp4", "b.mkv", "bad.mp4", "out", *GRAB, "--json")
     assert status == 2
-    assert err.endswith("supple: 2 of 3 files written into out, 1 failed\n")
+    assert err.endswith("supple: 2 of 3 files written into out, 1 failed: bad.mp4\n")
     assert err.count("\n") == 2
     assert "bad.mp4" in err
     facts = {line["output"]: line for line in map(json.loads, out.splitlines())}
