@@ -301,6 +301,19 @@ def test_bricks_know_their_range_and_their_distance() -> None:
     assert (nothing == 255).all()
 
 
+def test_exact_scenes_share_their_bricks() -> None:
+    samples, geometry = cloud(), Geometry()
+    first = Scene(samples, geometry, mode="exact")
+    other = first.deformed(bent(samples.shape))
+    assert other._skips is first._skips
+    fresh = Scene(samples, geometry, deformation=bent(samples.shape), mode="exact")
+    np.testing.assert_array_equal(other.render(size=(20, 24)).light, fresh.render(size=(20, 24)).light)
+    narrow = other.seen_through(other.transfer, (0.6, 0.7))
+    again = Scene(samples, geometry, deformation=bent(samples.shape), mode="exact", density=(0.6, 0.7))
+    np.testing.assert_array_equal(narrow.render(size=(20, 24)).light, again.render(size=(20, 24)).light)
+    assert narrow._skips is not first._skips
+
+
 def test_the_modes_show_the_same() -> None:
     shape = (48, 52, 50)
     geometry = Geometry((1.0, 1.0, 1.2))

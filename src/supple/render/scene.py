@@ -190,6 +190,7 @@ class Scene:
     def _sample(self, transfer: Transfer, density: tuple[float, float] | None) -> None:
         self._original, self._paint, seen = sampled(self._given, transfer, density, self.step, self.projection)
         self._ranges: dict[int, tuple[Array, Array]] = {}
+        self._still: tuple[Seen | None, npt.NDArray[np.uint8]] = None, np.empty(0, np.uint8)  # skips of the original
         self._look_by(seen)
 
     def _look_by(self, seen: Seen) -> None:
@@ -234,7 +235,11 @@ class Scene:
         self._skip()
 
     def _skip(self) -> None:
-        self._skips = skipped(self._seen, self._lows, self._highs, self.samples.shape, self._lattice, self.error)
+        still = self._lattice is None and self.samples is self._original  # whatever the strokes are
+        if not still or self._still[0] is not self._seen:
+            skips = skipped(self._seen, self._lows, self._highs, self.samples.shape, self._lattice, self.error)
+            self._still = (self._seen if still else None), skips
+        self._skips = self._still[1]
         self._darken()
 
     def _darken(self) -> None:
