@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 from measure import milliseconds
+from paired import HEAD, Line, Spread
 
 import supple
 from supple.files.volumes import open_volume
@@ -99,22 +100,23 @@ def filled(n: int, runs: int) -> str:
     return row(f"buffer of a {n}³ float32 volume: lattice and bricks", work, None, runs)
 
 
-def rate(what: str, draw: Callable[[int], object], count: int, runs: int, bar: float | None = None) -> str:
+def rate(what: str, draw: Callable[[int], object], count: int, runs: int, bar: float | None = None) -> Line:
     """The row of a frame rate: ``draw`` submits frame k; the GPU is waited for after ``count`` of them."""
-    gpu, rates = open_gpu(), []
-    for k in range(-1, runs):  # the first run compiles, and is not counted
+    gpu = open_gpu()
+
+    def frames() -> float:
         start = time.perf_counter()
         for n in range(count):
             draw(n)
         wait(gpu)
-        if k >= 0:
-            rates.append(count / (time.perf_counter() - start))
-    median = statistics.median(rates)
-    least, mark = ("", "") if bar is None else (f"≥ {bar:g}", "holds" if median >= bar else "**missed**")
-    return f"| {what} | {median:.1f} ({min(rates):.1f}–{max(rates):.1f}) | {least} | {mark} | {runs} × {count} |"
+        return count / (time.perf_counter() - start)
+
+    frames()  # compiles, and is not counted
+    found = Spread.of([frames() for _ in range(runs)])
+    return Line(what, value=found, unit="frames/s", bar=None if bar is None else -bar, note=f"of {count} frames")
 
 
-def window(size: tuple[int, int], bar: float, count: int, runs: int) -> list[str]:
+def window(size: tuple[int, int], bar: float, count: int, runs: int) -> list[Line]:
     """A picture as large as the window, with a stroke: solved at each pixel, and while it is dragged."""
     gpu, (width, height) = open_gpu(), size
     plate, texture = Plate(gpu, size), canvas_texture(gpu, size)
@@ -135,7 +137,7 @@ def window(size: tuple[int, int], bar: float, count: int, runs: int) -> list[str
     ]
 
 
-def played(size: tuple[int, int], slots: int, count: int, runs: int) -> str:
+def played(size: tuple[int, int], slots: int, count: int, runs: int) -> Line:
     """A clip that is bent in time, from the memory of the GPU, frame by frame."""
     gpu, (width, height) = open_gpu(), size
     slots = min(slots, Plate.most(gpu, size))
@@ -165,7 +167,7 @@ def enlarged(samples: np.ndarray, side: int) -> np.ndarray:
     return made.astype(samples.dtype)
 
 
-def large_head(side: int, size: tuple[int, int], count: int, runs: int) -> list[str]:
+def large_head(side: int, size: tuple[int, int], count: int, runs: int) -> list[Line]:
     """The head with so many voxels along each side, and a stroke, which may change with each frame."""
     head = open_volume(DATA / "head.nii.gz").samples
     scale = side / np.array(head.shape)
@@ -207,7 +209,7 @@ def main() -> None:
     warnings.simplefilter("ignore", supple.FoldWarning)
     gpu = open_gpu()
     print(f"{gpu.name}, {gpu.backend}\n")
-    print("| frames | frames/s | bar | | runs × frames |\n|---|---|---|---|---|", flush=True)
+    print(HEAD, flush=True)
     count = 3 if gpu.software else 200
     for size, bar in (((1920, 1080), 1000.0), ((3840, 2160), 300.0)):
         for line in window((size[0] // scale, size[1] // scale), bar, count, runs):

@@ -297,7 +297,7 @@ def test_the_ends_of_a_clip_stay_in_spite_of_freezes() -> None:
     mask = Freeze.of(disc(85, 62, 24))
     strokes = (
         Stroke.grab((60, 60, 10), by=(10, 3, 2), radius=20),
-        Stroke.freeze(mask, at=(*mask.middle, 0.0)),
+        Stroke.freeze(mask, ndim=3),
         Stroke.grab((70, 60, 10), by=(10, 3, 2), radius=20),
     )
     recipe = with_ends(Recipe(strokes=strokes), 3, (20, *SHAPE), 1.0)

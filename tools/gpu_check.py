@@ -20,24 +20,30 @@ import time
 import zipfile
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
+from itertools import chain
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
 MODULES = ROOT / "src" / "supple" / "_core"
 HEAD = "| part | | passed | failed | skipped | s |\n|---|---|---|---|---|---|"
-NVIDIA = ("/usr/share/vulkan/icd.d", "/etc/vulkan/icd.d", "/usr/local/nvidia/share/vulkan/icd.d")
+LOOKED_IN = ("/usr/share/vulkan/icd.d", "/etc/vulkan/icd.d")  # by the loader, for drivers
+ELSEWHERE = "/usr/local/nvidia/share/vulkan/icd.d"  # where containers have NVIDIA's
 MOST = 6  # workers of pytest
 STATES = "PASSED|FAILED|ERROR|SKIPPED"
 
 
 @dataclass(frozen=True)
 class Part:
-    """A command, and the seconds that it may take; ``tested`` are files of tests."""
+    """A command, and the seconds that it may take."""
 
     name: str
     command: tuple[str, ...]
     seconds: float
     environment: dict[str, str] = field(default_factory=dict)
+
+    def log(self, results: Path) -> Path:
+        """Return the file that it writes to."""
+        return results / f"{re.sub('[^a-z]+', '-', self.name.lower()).strip('-')}.log"
 
 
 def pytest(name: str, *words: str, seconds: float, workers: int = 0, **environment: str) -> Part:
@@ -68,20 +74,11 @@ def tests(simulated: bool, seconds: float) -> list[Part]:
 
 def benchmarks(simulated: bool, seconds: float, results: Path, only: list[str]) -> list[Part]:
     """Of few runs."""
-    python, quick = sys.executable, ("--quick",) if simulated else ()
-    cuda = (
-        python,
-        "benchmarks/cuda_engine.py",
-        "--json",
-        str(results / "cuda.json"),
-        *(["--dry"] if simulated else []),
-    )
-    if only:
-        cuda = (*cuda, "--only", *only)
-    return [
-        Part("CUDA's benchmark", cuda, seconds),
-        Part("drawing's benchmark", (python, "benchmarks/gpu.py", *quick), seconds),
-    ]
+    cuda = ["benchmarks/cuda_engine.py", "--json", str(results / "cuda.json")]
+    cuda += ["--dry"] * simulated + ["--only", *only] * bool(only)
+    drawing = ["benchmarks/gpu.py", *["--quick"] * simulated]
+    named = {"CUDA's benchmark": cuda, "drawing's benchmark": drawing}
+    return [Part(name, (sys.executable, *command), seconds) for name, command in named.items()]
 
 
 def unpacked(wheels: Path | None, folder: Path) -> dict[str, str]:
@@ -107,9 +104,11 @@ def unpacked(wheels: Path | None, folder: Path) -> dict[str, str]:
         found = sorted({str(path.parent) for path in libraries.rglob("*.so*")})
         around["LD_LIBRARY_PATH"] = os.pathsep.join([*found, *filter(None, [os.environ.get("LD_LIBRARY_PATH")])])
     # Without a driver among those that the loader looks for, one that containers have elsewhere.
-    drivers = [path for place in NVIDIA for path in Path(place).glob("*nvidia*.json")]
-    if drivers and "VK_DRIVER_FILES" not in around and str(drivers[0].parent) == NVIDIA[-1]:
-        around["VK_DRIVER_FILES"] = str(drivers[0])
+    usual, others = (
+        [*chain(*(Path(place).glob("*nvidia*.json") for place in each))] for each in (LOOKED_IN, [ELSEWHERE])
+    )
+    if others and not usual:
+        around.setdefault("VK_DRIVER_FILES", str(others[0]))
     around["PYTHONPATH"] = os.pathsep.join([*paths, *filter(None, [os.environ.get("PYTHONPATH")])])
     return around
 
@@ -123,7 +122,7 @@ def built(around: dict[str, str]) -> None:
 
 def ran(part: Part, around: dict[str, str], results: Path, until: float) -> str:
     """Run a part; return its line of the table."""
-    log = results / f"{re.sub('[^a-z]+', '-', part.name.lower()).strip('-')}.log"
+    log = part.log(results)
     begun, limit = time.monotonic(), min(part.seconds, until - time.monotonic())
     if limit < 5:
         return f"| {part.name} | **no time left** | | | | |"
@@ -183,8 +182,7 @@ def main() -> int:
     if asked.only != "tests":
         for part in benchmarks(asked.simulated, whole / 2, results, asked.rows):
             write(ran(part, around, results, until))
-            log = results / f"{re.sub('[^a-z]+', '-', part.name.lower()).strip('-')}.log"
-            print(log.read_text(errors="replace"), flush=True)
+            print(part.log(results).read_text(errors="replace"), flush=True)
     for log in sorted(results.glob("*.log")):
         failed = re.findall(
             r"^(?:FAILED|ERROR) tests/.*$|^\[.*\] (?:FAILED|ERROR) .*$", log.read_text(errors="replace"), re.M

@@ -38,6 +38,7 @@ from supple.strokes import (
     Point,
     Recipe,
     Stroke,
+    last_freeze,
     pack,
     spoken,
     time_radius_of,
@@ -758,8 +759,7 @@ class Deformation:
             n = 2 if self.domain.time else self.ndim
             mask = Freeze.free(self.shape[-n:], self.domain.spacing[:n])
         freeze = mask if isinstance(mask, Freeze) else _freeze_of(mask, self.domain)
-        at = (*freeze.middle, 0.0)[: self.ndim]
-        return self.add(Stroke.freeze(freeze, at=at))
+        return self.add(Stroke.freeze(freeze, ndim=self.ndim))
 
     def add(self, stroke: Stroke, *, warn: bool = True) -> Self:
         """Return the deformation with one more stroke, applied to the result of the strokes so far.
@@ -843,7 +843,7 @@ class Deformation:
     @property
     def _frozen(self) -> Domain:
         """The domain with the freeze mask that the next stroke is subject to."""
-        last = next((stroke.matte for stroke in reversed(self.strokes) if stroke.brush == "freeze"), None)
+        last = last_freeze(self.strokes)
         return self.domain if last is None else self.domain.frozen(last)
 
     def _after(self, stroke: Stroke, resolved: Resolved, space: Space) -> dict[str, npt.NDArray[Any]]:

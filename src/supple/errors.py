@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextvars import ContextVar
 from dataclasses import dataclass, replace
 from importlib.util import find_spec
@@ -84,6 +84,11 @@ def argument(name: str, value: object = _ANY) -> str:
 def numbered(frame: float) -> float:
     """Return the number of a frame, counted from 0, for the reader of a message."""
     return frame + current_spelling().first
+
+
+def listing(names: Sequence[str], most: int) -> str:
+    """Return a list of names, of which there are so many at most, and how many more there are."""
+    return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")
 
 
 def none() -> str:

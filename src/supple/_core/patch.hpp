@@ -9,12 +9,11 @@
 
 namespace supple {
 
-// A point of a lattice, at which T⁻¹ is known, and its derivatives, of numbers V.
-template <int D, class V = double>
+// A point of a lattice, at which T⁻¹ is known, and its derivatives.
+template <int D>
 struct Node {
-    double p[D];
-    V m[D][D], mixed[D];
-    V smooth[2];  // the length scale of the map along x and y
+    double p[D], m[D][D], mixed[D];
+    double smooth[2];  // the length scale of the map along x and y
 };
 
 constexpr double RESERVE = 1.75;   // nine points miss a part of the largest error of a cell,

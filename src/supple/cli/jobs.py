@@ -15,7 +15,7 @@ from pathlib import Path
 
 from supple.cli.console import FAULT, REFUSED, STREAM, Console, deaf, fault
 from supple.engine.memory import machine_memory
-from supple.errors import SuppleError, shown
+from supple.errors import SuppleError, listing, shown
 from supple.files.recipes import check_recipe_name, is_media_name
 from supple.media.files import check_output
 from supple.media.image.formats import SUFFIXES as PICTURES
@@ -118,13 +118,10 @@ def summary(jobs: Sequence[Job], failed: Collection[Path], there: int, target: s
     count = len(jobs)
     done = f"{count - len(failed)} of {count} files" if failed else f"{count} file{'s' * (count != 1)}"
     kept = f", {there} there already" if there else ""
-    lost = f", {len(failed)} failed: {_some(sorted(failed))}" if failed else ""
-    entered = f"; folders that were not entered: {_some(left)} (--recursive enters them)" if left else ""
+    named, folders = (listing([shown(path) for path in paths], 5) for paths in (sorted(failed), left))
+    lost = f", {len(failed)} failed: {named}" if failed else ""
+    entered = f"; folders that were not entered: {folders} (--recursive enters them)" if left else ""
     return f"{done} written into {shown(target)}{kept}{lost}{entered}"
-
-
-def _some(paths: Sequence[Path]) -> str:
-    return ", ".join(map(shown, paths[:5])) + (f" and {len(paths) - 5} more" if len(paths) > 5 else "")
 
 
 def make_folders(jobs: Sequence[Job]) -> None:

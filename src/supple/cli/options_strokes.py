@@ -344,17 +344,16 @@ class StrokeOptions:
 
         ``last`` says whether one may stand after all strokes.
         """
-        from supple.strokes import Stroke
+        from supple.strokes import Stroke, last_freeze
 
         strokes, place, mask = [*recipe.strokes], 0, recipe.freeze
         sizes, self._freezes = iter(getattr(self, "_sizes", ())), list[int]()
-        known = next((stroke.matte for stroke in reversed(strokes[:own]) if stroke.brush == "freeze"), None)
         for option, text in in_order(current().arguments, self.given):
             if option in BRUSHES:
                 place = max(place, own + len(strokes) - len(recipe.strokes)) + next(sizes)
             elif option == "--recipe":
                 place = max(place, own + len(strokes) - len(recipe.strokes))
-                mask = known or mask
+                mask = last_freeze(strokes[:own]) or mask
             elif option == "--freeze":
                 if text == "none" and mask is None:
                     raise SuppleError("--freeze none thaws what was frozen before it, and nothing was: leave it out")
@@ -369,8 +368,7 @@ class StrokeOptions:
                         f"--freeze {text} stands after all strokes, and holds none: give it before those that shall "
                         f"move nothing there{first}"
                     )
-                at = (*mask.middle, 0.0)[: strokes[0].ndim]
-                strokes.insert(place, Stroke.freeze(mask, at=at))
+                strokes.insert(place, Stroke.freeze(mask, ndim=strokes[0].ndim))
                 self._freezes.append(1)
                 place += 1
         return replace(recipe, strokes=tuple(strokes))

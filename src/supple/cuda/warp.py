@@ -128,9 +128,9 @@ def _uploaded(gpu: CudaDevice, spaces: tuple[Space, ...], tolerance: float) -> L
     first = (0, 0) if one.grid is None else one.grid.first[:2]
     xs, ys = (positions(first[k], n, axes[k], size) for k, n in enumerate(one.planes[:0:-1]))
     places = Memory(4 * (xs.size + ys.size), stream)
-    places.upload(at := np.concatenate([xs, ys]))
+    at = np.concatenate([xs, ys])
+    places.upload(at)
     stream.synchronize()  # until then, the arrays are read; from here on, any stream may read the copies
-    del packed, at
     return Lattice(spaces, memory, places, (xs.size, ys.size))
 
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 from typing import Literal
 
 from supple.engine.work import Tell, silent
-from supple.errors import SuppleError, TrackWarning, argument, caller, numbered, shown
+from supple.errors import SuppleError, TrackWarning, argument, caller, listing, numbered, shown
 from supple.files.clips import open_clip
 from supple.files.options import GB
 from supple.files.tracking import track
@@ -90,7 +90,9 @@ def follow_tracks(
     known = {track.name: track for track in tracks}
     for name in names:
         if name not in known:
-            raise SuppleError(f"{shown(path)} has no track {name!r}: its tracks are {_listed(list(known))}")
+            raise SuppleError(
+                f"{shown(path)} has no track {name!r}: its tracks are {listing(list(map(repr, known)), 6)}"
+            )
     wanted = [known[name] for name in names] or list(tracks)
     each = 2 if turn else 1
     if len(wanted) < each:
@@ -102,10 +104,8 @@ def follow_tracks(
         many = "1 stroke" if len(which) == 1 else f"{len(which)} strokes"
         one = "two for all, or two" if turn else "one for all, or one"
         turning = f", or {argument('track_turn')} to turn with two" if len(wanted) == 2 * len(which) else ""
-        raise SuppleError(
-            f"{shown(path)} has {len(wanted)} tracks, {_listed([track.name for track in wanted])}, for {many}: name "
-            f"{one} for each{turning}"
-        )
+        names = listing([repr(track.name) for track in wanted], 6)
+        raise SuppleError(f"{shown(path)} has {len(wanted)} tracks, {names}, for {many}: name {one} for each{turning}")
     for i, k in enumerate(which):
         own, *second = wanted if len(wanted) == each else wanted[each * i : each * (i + 1)]
         made[k] = made[k].following(own.keys, frame, second=second[0].keys if second else (), outside=outside)
@@ -115,8 +115,3 @@ def follow_tracks(
             text = f"{shown(path)}: a track has frame {at} alone: what follows it does not move, and {what}"
             warnings.warn(text, TrackWarning, stacklevel=caller())
     return replace(recipe, strokes=tuple(made))
-
-
-def _listed(names: Sequence[str]) -> str:
-    few = [repr(name) for name in names[:6]]
-    return ", ".join(few) + (f" and {len(names) - 6} more" if len(names) > 6 else "")

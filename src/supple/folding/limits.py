@@ -91,7 +91,7 @@ def farthest(stroke: Stroke, domain: Domain, on_fold: FoldPolicy) -> tuple[Strok
     except SuppleError as error:
         if on_fold == "error" or 0 <= part <= 1:
             raise
-        reason, first = str(error), error
+        failure = error
     made = stroke.weakened(low)
     while abs(high - low) > 0.01:
         middle = (low + high) / 2
@@ -101,9 +101,9 @@ def farthest(stroke: Stroke, domain: Domain, on_fold: FoldPolicy) -> tuple[Strok
         except SuppleError:
             high = middle
     if low == 0.0:  # it is not the strength that is wrong
-        raise first
+        raise failure
     resolved = resolve(made, domain, on_fold)
-    warning = f"{part:.0%} of {described(stroke)} is carried out at {low:.0%}, as far as is possible: {reason}"
+    warning = f"{part:.0%} of {described(stroke)} is carried out at {low:.0%}, as far as is possible: {failure}"
     if whole is stroke:  # beyond what strokes can be
         return made, replace(resolved, warning=warning)
     return whole, replace(resolved, alpha=resolved.alpha * low / part, cause="fold", warning=warning)

@@ -14,6 +14,7 @@ from supple.strokes.stroke import (
     Brush,
     Point,
     Stroke,
+    last_freeze,
 )
 from supple.strokes.table import POISSON, legs, matrix_of, pack, poisson_of, stretch_of, time_radius_of
 
@@ -37,6 +38,7 @@ __all__ = [
     "Scaling",
     "Stroke",
     "fit_recipe",
+    "last_freeze",
     "legs",
     "matrix_of",
     "numbers",

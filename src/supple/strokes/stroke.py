@@ -363,13 +363,13 @@ class Stroke:
         return replace(cls.pull(way, by=drags, radius=radius, **options), name="push")
 
     @classmethod
-    def freeze(cls, mask: Freeze, *, at: Point = ()) -> Self:
+    def freeze(cls, mask: Freeze, *, ndim: int | None = None) -> Self:
         """Return a freeze among strokes: later ones move nothing where the mask is 0; see `supple.Deformation.freeze`.
 
-        ``at`` is where lists and the window have it, by default the middle of what is frozen; it has as many numbers as
-        the points of the strokes.
+        It lies in the middle of what is frozen. ``ndim`` is the number of coordinates of the other strokes, by default
+        that of the mask: strokes in time have one more.
         """
-        return cls(brush="freeze", at=tuple(at) or mask.middle, radius=1.0, matte=mask)
+        return cls(brush="freeze", at=(*mask.middle, 0.0)[: ndim or len(mask.middle)], radius=1.0, matte=mask)
 
     @property
     def ndim(self) -> int:
@@ -594,6 +594,11 @@ class Stroke:
         if self.axis is not None or self.brush not in ("twist", "pinch") or (self.brush == "twist" and self.ndim == 2):
             return self.axis
         return (0.0, 0.0, 1.0) if self.brush == "twist" else (1.0, 0.0, 0.0)[: self.ndim]
+
+
+def last_freeze(strokes: Sequence[Stroke]) -> Freeze | None:
+    """Return the mask of the last freeze among strokes; None if there is none, or all are hidden."""
+    return next((s.matte for s in reversed(strokes) if s.brush == "freeze" and not s.hidden), None)
 
 
 def _turns(keys: Sequence[Key], ends: Sequence[Key], begin: float) -> tuple[dict[int, complex], dict[int, float]]:

@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from supple.errors import need
+from supple.errors import listing, need
 from supple.media.files import PathLike, head_of, unreadable, unwritable
 from supple.media.image.formats import EXR_MAGIC, Array
 
@@ -113,7 +113,7 @@ class Exr:
         names = [channel.name for _, channels in self.groups[1:] for channel in channels]
         own = sorted({name for each in self.attributes for name in each} - _OWN)
         parts = [("channel", self.left)] if exr else [("channel", self.left or names), ("attribute", own)]
-        told = [f"the {what}{'s' * (len(some) > 1)} {_listed(some)}" for what, some in parts if some]
+        told = [f"the {what}{'s' * (len(some) > 1)} {listing(some, 6)}" for what, some in parts if some]
         levels = any(each["tiles"].mode.value for each in self.attributes if "tiles" in each)
         told += ["the smaller levels"] * levels
         return told + ["the data window"] * (not exr and self.windows != (self.display,))
@@ -121,7 +121,7 @@ class Exr:
     @property
     def exact(self) -> str:
         """The names of the exact channels."""
-        return _listed([channel.name for exact, channels in self.groups if exact for channel in channels])
+        return listing([channel.name for exact, channels in self.groups if exact for channel in channels], 6)
 
     def alone(self) -> Exr:
         """Return the picture's own channels in the display window."""
@@ -137,10 +137,6 @@ class Exr:
 
 def _shape(box: Box) -> tuple[int, int]:
     return box[3] - box[1], box[2] - box[0]
-
-
-def _listed(names: Sequence[str]) -> str:
-    return ", ".join(names[:6]) + (f" and {len(names) - 6} more" if len(names) > 6 else "")
 
 
 def around(boxes: Sequence[Box]) -> Box:

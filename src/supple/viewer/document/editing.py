@@ -21,7 +21,7 @@ from supple.space.domain import Border, Domain
 from supple.space.freezing import Freeze
 from supple.space.geometry import Geometry
 from supple.space.straighten import Straighten
-from supple.strokes import PAINTINGS, CoordinateSpace, FoldPolicy, Recipe, Stroke, spoken
+from supple.strokes import PAINTINGS, CoordinateSpace, FoldPolicy, Recipe, Stroke, last_freeze, spoken
 from supple.viewer.document.keyframes import animated, edited
 
 Kind = Literal["image", "video", "volume"]
@@ -62,8 +62,7 @@ class State:
     @property
     def mask(self) -> Freeze | None:
         """The freeze mask that the next stroke is subject to."""
-        freezes = (stroke.matte for stroke in reversed(self.strokes) if stroke.brush == "freeze" and not stroke.hidden)
-        return next(freezes, self.rest.freeze)
+        return last_freeze(self.strokes) or self.rest.freeze
 
     @property
     def without_freeze(self) -> Self:
@@ -403,8 +402,8 @@ class Document:
         if mask is None and state.mask is not None and not state.mask.is_free:
             mask = state.mask.freed
         if mask is not None:
-            at = (*mask.middle, 0.0)[: state.strokes[0].ndim]
-            state = replace(state, strokes=(*state.strokes, Stroke.freeze(mask, at=at)))
+            item = Stroke.freeze(mask, ndim=state.strokes[0].ndim)
+            state = replace(state, strokes=(*state.strokes, item))
         self._edit(state)
 
     def preview_amount(self, amount: float) -> bool:

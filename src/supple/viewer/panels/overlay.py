@@ -557,9 +557,8 @@ def _at_frame(frame: float, playback: Playback) -> float:
 
 
 def _status(view: View, said: str, high: float) -> None:
-    _begin_bar(
-        "status", view.logical[1] - high, view.area[0], high, (8, 3)
-    )  # over the picture, if it has several lines
+    # Over the picture, where it has several lines.
+    _begin_bar("status", view.logical[1] - high, view.area[0], high, (8, 3))
     wrapped(said, colour=theme.TEXT)
     _end_bar()
 
