@@ -6,6 +6,7 @@ import copy
 import math
 import pickle
 from collections.abc import Callable
+from inspect import signature
 from typing import Any
 
 import numpy as np
@@ -165,10 +166,8 @@ def test_a_stroke_that_reaches_nothing_is_refused() -> None:
 
 def test_points_of_another_number_are_named() -> None:
     d = Deformation((512, 512))
-    with pytest.raises(
-        SuppleError, match=r"^at must be 2 numbers, x and y, as a point of a picture has, found \(1, 2, 3\)$"
-    ):
-        d.grab((1, 2, 3), to=(1, 2), radius=20)
+    with pytest.raises(SuppleError, match=r"^a drag by .* has a point of 3 numbers, and a point of a picture has 2"):
+        d.grab((1, 2, 3), to=(1, 2, 4), radius=20)
     with pytest.raises(
         SuppleError,
         match=r"^a twist by 30° at \(1, 2, 3\) with radius 9 has a point of 3 numbers, and a point of a picture has 2",
@@ -233,3 +232,11 @@ def test_a_copy_from_another_process_is_equal() -> None:
     for same in (pickle.loads(pickle.dumps(d)), copy.deepcopy(d)):
         assert same == d
         np.testing.assert_array_equal(same.warp(image), d.warp(image))
+
+
+@pytest.mark.parametrize("name", ["grab", "pull", "push", "twist", "scale", "pinch"])
+def test_brushes_have_the_parameters_and_the_documentation_of_their_strokes(name: str) -> None:
+    own, of_stroke = getattr(Deformation((9, 9)), name), getattr(Stroke, name)
+    assert list(signature(own).parameters) == list(signature(of_stroke).parameters)
+    assert (own.__doc__ or "").startswith("Return the deformation with one more stroke, which ")
+    assert (own.__doc__ or "").split("\n")[1:] == (of_stroke.__doc__ or "").split("\n")[1:]

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import inspect
 import itertools
 import math
 import warnings
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field, fields, replace
-from typing import Any, Literal, Self, Unpack
+from typing import Any, Concatenate, Literal, ParamSpec, Self, Unpack
 
 import numpy as np
 import numpy.typing as npt
@@ -33,9 +34,7 @@ from supple.strokes import (
     LEAST,
     MOST,
     PAINTINGS,
-    REACH,
     FoldPolicy,
-    Point,
     Recipe,
     Stroke,
     last_freeze,
@@ -162,6 +161,25 @@ class Report:
     unconverged: int
     within: bool
     evaluations: float
+
+
+P = ParamSpec("P")
+
+
+def _adding(make: Callable[P, Stroke]) -> Callable[Concatenate[Deformation, P], Deformation]:
+    """Return the method that adds the stroke of one of `Stroke`'s functions, with its parameters and documentation."""
+
+    def method(self: Deformation, /, *args: P.args, **options: P.kwargs) -> Deformation:
+        return self.add(make(*args, **options))
+
+    own = inspect.signature(make)
+    first = inspect.Parameter("self", inspect.Parameter.POSITIONAL_ONLY)
+    method.__signature__ = own.replace(parameters=[first, *own.parameters.values()])  # type: ignore[attr-defined]
+    method.__name__ = make.__name__
+    method.__qualname__ = f"Deformation.{make.__name__}"
+    stroke = "Return a stroke that"
+    method.__doc__ = (make.__doc__ or "").replace(stroke, "Return the deformation with one more stroke, which", 1)
+    return method
 
 
 @dataclass(frozen=True, slots=True, eq=False, init=False)
@@ -469,102 +487,12 @@ class Deformation:
         """True if the map is the identity: no maps, and no strokes, or none with any force."""
         return self._space.rows.size == 0 and not self.maps and self.output is self.grid
 
-    def grab(
-        self,
-        at: Point,
-        *,
-        to: Point | None = None,
-        by: Point | None = None,
-        path: Sequence[Point] = (),
-        radius: float,
-        poisson: float | None = None,
-        scales: int = 1,
-        reach: float | None = REACH,
-        time_radius: float | None = None,
-        flat: float = 0.0,
-        strength: float = 1.0,
-    ) -> Self:
-        """Return the deformation with one more stroke, which drags the material at a point.
-
-        Parameters
-        ----------
-        at : sequence of float
-            The grabbed point.
-        to, by : sequence of float
-            The target or the drag; one of the two. Near a fixed border, a stroke that does not flow falls short by the
-            border's factor β there.
-        path : sequence of points, optional
-            The points through which it is dragged on its way; without ``to`` and ``by``, the last one is the target.
-        scales : int
-            1: a wide effect, fading as 1/r. 2 and 3: more local, as 1/r³ and 1/r⁵.
-        flat : float
-            The part of the radius, in space and time, up to 0.9, within which all moves as the point does; the rest
-            fades as ever. It takes a reach.
-        radius, poisson, reach, time_radius, strength
-            As for all brushes (`Deformation`). The reach is measured from the whole way of the point.
-        """
-        if len(point("at", at)) != self.ndim:
-            refuse("at", f"{self._coordinates}, as a point of {self._kind} has{colours_hint(self.shape)}", at)
-        known: dict[str, Any] = {"poisson": poisson, "scales": scales, "reach": reach, "strength": strength}
-        stroke = Stroke.grab(at, to=to, by=by, path=path, radius=radius, time_radius=time_radius, flat=flat, **known)
-        return self.add(stroke)
-
-    def pull(
-        self,
-        points: npt.ArrayLike,
-        *,
-        to: npt.ArrayLike | None = None,
-        by: npt.ArrayLike | None = None,
-        pins: npt.ArrayLike = (),
-        radius: float,
-        poisson: float | None = None,
-        reach: float | None = REACH,
-        time_radius: float | None = None,
-        strength: float = 1.0,
-    ) -> Self:
-        """Return the deformation with one more stroke, which drags many points at once, each to its own target.
-
-        The forces at the points are solved together, so that every point arrives, whatever the others do; where the map
-        would fold, they move in several steps, each solved anew at the points' positions (de Goes and James,
-        "Regularized Kelvinlets", 2017; section 6).
-
-        Parameters
-        ----------
-        points : array_like, shape (N, D)
-            The dragged points, in pixels, x first; up to 1,000 with the pins.
-        to, by : array_like, shape (N, D)
-            Their targets, or their drags; one of the two.
-        pins : array_like, shape (M, D), optional
-            Points that stay where they are.
-        radius : float
-            About the distance between the points, or more.
-        poisson, reach, time_radius, strength
-            As for all brushes. Points that are frozen are released, with a warning; of two that pull against each
-            other so that they cannot arrive without a fold, an error names both.
-
-        Warns
-        -----
-        OutsideWarning, FoldWarning, MissWarning
-            As all brushes do; of its first point.
-
-        Examples
-        --------
-        >>> d = Deformation((512, 512))
-        >>> d = d.pull([(200, 250), (300, 250)], to=[(180, 250), (320, 250)], pins=[(250, 250)], radius=60)
-        >>> d.forward([(200, 250), (250, 250)]).round(6)
-        array([[180., 250.],
-               [250., 250.]])
-        """
-        known: dict[str, Any] = {"poisson": poisson, "reach": reach, "strength": strength}
-        return self.add(Stroke.pull(points, to=to, by=by, pins=pins, radius=radius, time_radius=time_radius, **known))
-
-    def push(self, path: Sequence[Point], *, by: float, radius: float, **options: Any) -> Self:
-        """Return the deformation with one more stroke, which pushes what lies along a path sideways.
-
-        ``by`` is how far, in pixels, to the left of the way; below 0, to the right. The options are ``poisson``,
-        ``reach`` and ``strength``, as for all brushes.
-        """
-        return self.add(Stroke.push(path, by=by, radius=radius, **options))
+    grab = _adding(Stroke.grab)
+    pull = _adding(Stroke.pull)
+    push = _adding(Stroke.push)
+    twist = _adding(Stroke.twist)
+    scale = _adding(Stroke.scale)
+    pinch = _adding(Stroke.pinch)
 
     def restore(
         self, at: npt.ArrayLike, *, radius: float, strength: float | Sequence[float] = 1.0, warn: bool = True
@@ -656,92 +584,6 @@ class Deformation:
             targets[ends, 2] = points[ends, 2]
         stroke = Stroke.pull(points, to=targets, radius=0.5 * radius, reach=3.0)
         return self.add(replace(stroke, name=name), warn=warn)
-
-    def twist(
-        self,
-        at: Point,
-        *,
-        angle: float,
-        radius: float,
-        axis: Point | None = None,
-        reach: float | None = REACH,
-        time_radius: float | None = None,
-        strength: float = 1.0,
-    ) -> Self:
-        """Return the deformation with one more stroke, which turns the material around a point.
-
-        At the point, the turn is a rotation by exactly the angle, which fades with the distance; all points keep their
-        distance from it. That folds at no angle; where a fixed border or a freeze mask holds a part back, ``on_fold``
-        applies.
-
-        Parameters
-        ----------
-        angle : float
-            In degrees, from x towards y: clockwise on a screen. In a volume, right-handed about the axis. Any number of
-            turns, up to ten.
-        axis : sequence of float, optional
-            In a volume or a clip, the direction of the axis, in samples; by default, that of z or of time.
-        at, radius, reach, time_radius, strength
-            As for all brushes.
-        """
-        known: dict[str, Any] = {"reach": reach, "time_radius": time_radius, "strength": strength}
-        return self.add(Stroke.twist(at, angle=angle, axis=axis, radius=radius, **known))
-
-    def scale(
-        self,
-        at: Point,
-        *,
-        factor: float,
-        radius: float,
-        reach: float | None = REACH,
-        time_radius: float | None = None,
-        strength: float = 1.0,
-    ) -> Self:
-        """Return the deformation with one more stroke, which bloats or puckers the material around a point.
-
-        At the point, lengths are magnified by exactly the factor; it fades with the distance. In a clip, x and y are
-        magnified, and time is not.
-
-        Parameters
-        ----------
-        factor : float
-            Above 1 it bloats, below 1 it puckers; from 0.01 to 100.
-        strength : float
-            The applied part of the factor's logarithm: half of a scale by 4 is one by 2.
-        at, radius, reach, time_radius
-            As for all brushes.
-        """
-        known: dict[str, Any] = {"reach": reach, "time_radius": time_radius, "strength": strength}
-        return self.add(Stroke.scale(at, factor=factor, radius=radius, **known))
-
-    def pinch(
-        self,
-        at: Point,
-        *,
-        factor: float,
-        radius: float,
-        axis: Point | None = None,
-        poisson: float | None = None,
-        reach: float | None = REACH,
-        time_radius: float | None = None,
-        strength: float = 1.0,
-    ) -> Self:
-        """Return the deformation with one more stroke, which pinches the material around a point.
-
-        At the point, lengths along the axis are multiplied by exactly the factor, and those across it by its inverse
-        (in a volume, by the inverse's root along both axes across), so that areas and volumes there stay the same.
-
-        Parameters
-        ----------
-        factor : float
-            Below 1 it squeezes along the axis, above 1 it stretches; from 0.01 to 100.
-        axis : sequence of float, optional
-            A direction, in samples; by default, that of x.
-        at, radius, poisson, reach, time_radius, strength
-            As for all brushes; the strength is a part of the factor's logarithm.
-        """
-        known: dict[str, Any] = {"poisson": poisson, "reach": reach, "time_radius": time_radius, "strength": strength}
-        return self.add(Stroke.pinch(at, factor=factor, axis=axis, radius=radius, **known))
 
     def freeze(self, mask: npt.ArrayLike | Freeze | None) -> Self:
         """Return the deformation with a freeze after the strokes so far: later ones move nothing where it is frozen.

@@ -245,7 +245,25 @@ class Stroke:
         flat: float = 0.0,
         strength: float = 1.0,
     ) -> Self:
-        """Return a stroke that drags the point ``at`` ``to`` another, or ``by`` a distance, or along a ``path``."""
+        """Return a stroke that drags the material at a point.
+
+        Parameters
+        ----------
+        at : sequence of float
+            The grabbed point.
+        to, by : sequence of float
+            The target or the drag; one of the two. Near a fixed border, a stroke that does not flow falls short by the
+            border's factor β there.
+        path : sequence of points, optional
+            The points through which it is dragged on its way; without ``to`` and ``by``, the last one is the target.
+        scales : int
+            1: a wide effect, fading as 1/r. 2 and 3: more local, as 1/r³ and 1/r⁵.
+        flat : float
+            The part of the radius, in space and time, up to 0.9, within which all moves as the point does; the rest
+            fades as ever. It takes a reach.
+        radius, poisson, reach, time_radius, strength
+            As for all brushes (`Deformation`). The reach is measured from the whole way of the point.
+        """
         start = point("at", at)
         if len(path) and to is None and by is None:
             *path, to = path
@@ -271,7 +289,22 @@ class Stroke:
         time_radius: float | None = None,
         strength: float = 1.0,
     ) -> Self:
-        """Return a stroke that turns what is around a point; see `supple.Deformation.twist`."""
+        """Return a stroke that turns the material around a point.
+
+        At the point, the turn is a rotation by exactly the angle, which fades with the distance; all points keep their
+        distance from it. That folds at no angle; where a fixed border or a freeze mask holds a part back, ``on_fold``
+        applies.
+
+        Parameters
+        ----------
+        angle : float
+            In degrees, from x towards y: clockwise on a screen. In a volume, right-handed about the axis. Any number of
+            turns, up to ten.
+        axis : sequence of float, optional
+            In a volume or a clip, the direction of the axis, in samples; by default, that of z or of time.
+        at, radius, reach, time_radius, strength
+            As for all brushes.
+        """
         known: dict[str, Any] = {"reach": reach, "time_radius": time_radius, "strength": strength}
         return cls(brush="twist", at=at, angle=angle, axis=axis, radius=radius, **known)  # type: ignore[arg-type]
 
@@ -286,7 +319,20 @@ class Stroke:
         time_radius: float | None = None,
         strength: float = 1.0,
     ) -> Self:
-        """Return a stroke that magnifies what is around a point; see `supple.Deformation.scale`."""
+        """Return a stroke that bloats or puckers the material around a point.
+
+        At the point, lengths are magnified by exactly the factor; it fades with the distance. In a clip, x and y are
+        magnified, and time is not.
+
+        Parameters
+        ----------
+        factor : float
+            Above 1 it bloats, below 1 it puckers; from 0.01 to 100.
+        strength : float
+            The applied part of the factor's logarithm: half of a scale by 4 is one by 2.
+        at, radius, reach, time_radius
+            As for all brushes.
+        """
         known: dict[str, Any] = {"reach": reach, "time_radius": time_radius, "strength": strength}
         return cls(brush="scale", at=at, factor=factor, radius=radius, **known)  # type: ignore[arg-type]
 
@@ -303,7 +349,20 @@ class Stroke:
         time_radius: float | None = None,
         strength: float = 1.0,
     ) -> Self:
-        """Return a stroke that squeezes what is around a point; see `supple.Deformation.pinch`."""
+        """Return a stroke that pinches the material around a point.
+
+        At the point, lengths along the axis are multiplied by exactly the factor, and those across it by its inverse
+        (in a volume, by the inverse's root along both axes across), so that areas and volumes there stay the same.
+
+        Parameters
+        ----------
+        factor : float
+            Below 1 it squeezes along the axis, above 1 it stretches; from 0.01 to 100.
+        axis : sequence of float, optional
+            A direction, in samples; by default, that of x.
+        at, radius, poisson, reach, time_radius, strength
+            As for all brushes; the strength is a part of the factor's logarithm.
+        """
         known: dict[str, Any] = {"axis": axis, "poisson": poisson, "reach": reach, "strength": strength}
         return cls(brush="pinch", at=at, factor=factor, radius=radius, time_radius=time_radius, **known)  # type: ignore[arg-type]
 
@@ -321,7 +380,39 @@ class Stroke:
         time_radius: float | None = None,
         strength: float = 1.0,
     ) -> Self:
-        """Return a stroke that drags many points at once; see `supple.Deformation.pull`."""
+        """Return a stroke that drags many points at once, each to its own target.
+
+        The forces at the points are solved together, so that every point arrives, whatever the others do; where the map
+        would fold, they move in several steps, each solved anew at the points' positions (de Goes and James,
+        "Regularized Kelvinlets", 2017; section 6).
+
+        Parameters
+        ----------
+        points : array_like, shape (N, D)
+            The dragged points, in pixels, x first; up to 1,000 with the pins.
+        to, by : array_like, shape (N, D)
+            Their targets, or their drags; one of the two.
+        pins : array_like, shape (M, D), optional
+            Points that stay where they are.
+        radius : float
+            About the distance between the points, or more.
+        poisson, reach, time_radius, strength
+            As for all brushes. Points that are frozen are released, with a warning; of two that pull against each
+            other so that they cannot arrive without a fold, an error names both.
+
+        Warns
+        -----
+        OutsideWarning, FoldWarning, MissWarning
+            As all brushes do; of its first point.
+
+        Examples
+        --------
+        >>> d = Deformation((512, 512))
+        >>> d = d.pull([(200, 250), (300, 250)], to=[(180, 250), (320, 250)], pins=[(250, 250)], radius=60)
+        >>> d.forward([(200, 250), (250, 250)]).round(6)
+        array([[180., 250.],
+               [250., 250.]])
+        """
         start = _points("points", points)
         if (to is None) == (by is None):
             raise SuppleError(f"a pull takes one of to and by, found {'neither' if to is None else 'both'}")
@@ -346,9 +437,10 @@ class Stroke:
 
     @classmethod
     def push(cls, path: Sequence[Point], *, by: float, radius: float, **options: Any) -> Self:
-        """Return a stroke that pushes what lies along a path sideways, ``by`` samples to the left; below 0, right.
+        """Return a stroke that pushes what lies along a path sideways.
 
-        It is a pull of points half a radius apart, in a picture or in every frame of a clip; options are those of that.
+        ``by`` is how far, in pixels, to the left of the way; below 0, to the right. The options are ``poisson``,
+        ``reach`` and ``strength``, as for all brushes.
         """
         ends = [np.array(point(f"path[{i}]", p, (2,))) for i, p in enumerate(path)]
         lengths = np.cumsum([0.0, *(math.dist(a, b) for a, b in itertools.pairwise(ends))])
