@@ -36,6 +36,12 @@ Examples:
   supple warp cells.zarr bent.zarr --recipe strokes.json --workers 8
   supple warp moving.nii.gz seen.nii.gz --affine 0GenericAffine.mat --field 1Warp.nii.gz --reference fixed.nii.gz
 """
+_FACE_EXAMPLES = """\
+Examples:
+
+  supple face photo.jpg out.jpg --slim 20 --eyes 15 --smile 10 --nose -10
+  supple face portraits/ done/ --slim 15 --landmarks landmarks/
+"""
 _PLAN_EXAMPLES = """\
 Examples:
 
@@ -98,6 +104,7 @@ Examples:
 # The module of each command, its usage, and examples. Only the module of the given command is imported.
 _COMMANDS = (
     ("cli.warp:warp", f"warp IN... OUT {_GRAB}", _WARP_EXAMPLES),
+    ("cli.face:face", "face IN... OUT [--slim P] [--eyes P] [--smile P] [--nose P] [OPTIONS]", _FACE_EXAMPLES),
     ("cli.plot:plot", f"plot IN OUT.png {_GRAB}", ""),
     ("cli.volume:render", f"render VOLUME OUT [{_GRAB}]", _RENDER_EXAMPLES),
     ("cli.volume:points", f"points IN OUT --on FILE {_GRAB}", _POINTS_EXAMPLES),
@@ -155,8 +162,8 @@ def _dispatch(arguments: Sequence[str]) -> None:
         if value == "-" and option in _OF_FILES:
             raise SuppleError(f"{option} - is not possible: - is for the files IN and OUT; name a file")
     arguments = [STREAM if argument == "-" else argument for argument in arguments]
-    if STREAM in arguments and arguments[0] not in ("warp", "info", "points"):
-        raise SuppleError("- for standard input or output is for warp, info and points: give the name of a file")
+    if STREAM in arguments and arguments[0] not in ("warp", "face", "info", "points"):
+        raise SuppleError("- for standard input or output is for warp, face, info and points: give the name of a file")
     current().arguments = tuple(arguments)
     try:
         app(list(arguments), exit_on_error=False, print_error=False, verbose=False)
