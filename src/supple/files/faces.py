@@ -98,8 +98,8 @@ def _found(picture: PathLike) -> tuple[Face, ...]:
     name = shown(picture)
     if not can_find():
         raise SuppleError(
-            f"{name} has no landmarks beside it: give {argument('landmarks')} FILE, or pip install 'supple[face]', "
-            "which finds faces"
+            f"{name} has no landmarks: put {shown(f'{Path(picture).stem}.pts')}, .csv, .xml or .json beside it, or pip "
+            "install 'supple[face]', by which faces are found"
         )
     from supple.media.image.vips import opened
 
@@ -113,7 +113,7 @@ def _found(picture: PathLike) -> tuple[Face, ...]:
         order = sorted(range(len(boxes)), key=lambda k: -boxes[k].area())
         shapes = [predictor(pixels, boxes[k]).parts() for k in order]
     if not shapes:
-        raise SuppleError(f"no face is found in {name}: give {argument('landmarks')} FILE, with those of the picture")
+        raise SuppleError(f"no face is found in {name}: put a file of its landmarks beside it, .pts or .csv")
     scale = width / pixels.shape[1]
     return tuple(named((np.array([(p.x, p.y) for p in shape]) + 0.5) * scale - 0.5) for shape in shapes)
 

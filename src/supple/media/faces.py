@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import re
 from collections.abc import Sequence
 from pathlib import PurePath
@@ -15,8 +14,7 @@ import numpy as np
 from supple.errors import SuppleError, shown
 from supple.media.files import PathLike, check_suffix, head_of, unreadable
 from supple.media.points import read_points
-from supple.media.tables import Table, bare
-from supple.space.checks import LARGEST
+from supple.media.tables import bare
 from supple.space.geometry import Floats
 
 Face = dict[str, tuple[float, float]]
@@ -24,6 +22,13 @@ Face = dict[str, tuple[float, float]]
 
 SUFFIXES = (".pts", ".csv", ".tsv", ".txt", ".xml", ".json")
 _GIVE = f"give landmarks in a file {', '.join(SUFFIXES)}"
+
+_KINDS = {
+    ".pts": "list of n_points points between { and }",
+    ".xml": "dataset of dlib's imglab, with images, boxes and parts",
+    ".json": "result of MediaPipe's face landmarker, with a list face_landmarks",
+}
+_LISTS = ("face_landmarks", "faceLandmarks", "multi_face_landmarks", "multiFaceLandmarks")
 
 # The points of the 68 of iBUG 300-W, from 0, whose mean has a name. Left is the person's own left.
 _NAMES: dict[str, Sequence[int]] = {
@@ -79,37 +84,42 @@ def read_faces(path: PathLike, size: tuple[int, int], *, picture: PathLike = "",
         faces = [_of_table(path)]
     else:
         text = head_of(path, -1, _GIVE, _GIVE).decode("utf-8-sig", "replace")
-        if suffix == ".pts":
-            faces = [named(_of_pts(path, text))]
-        elif suffix == ".xml":
-            faces = _of_xml(path, text, size, picture, turn)
-        else:
-            faces = [named(points * size - 0.5) for points in _of_json(path, text)]
+        try:
+            if suffix == ".pts":
+                faces = [named(_of_pts(text) - 1)]  # the first pixel is (1, 1)
+            elif suffix == ".xml":
+                faces = _of_xml(path, text, size, picture, turn)
+            else:
+                faces = [named(points * size - 0.5) for points in _of_json(text)]
+        except (ValueError, TypeError, LookupError, AttributeError, RecursionError, ElementTree.ParseError) as error:
+            if isinstance(error, SuppleError):
+                raise
+            raise unreadable(path, f"it is no {_KINDS[suffix]}", _GIVE) from None
     for face in faces:
         points = np.array([*face.values()])
-        out = np.any((points < -1) | (points > np.array(size)), axis=1)
-        if np.mean(out) > 0.5:
-            name = next(name for name, lost in zip(face, out.tolist(), strict=True) if lost)
-            at = ", ".join(f"{x:.5g}" for x in face[name])
+        out = np.any(~((points >= -1) & (points <= size)), axis=1)
+        if np.mean(out) > 0.5 or not np.isfinite(points).all():
+            name, (x, y) = next(item for item, lost in zip(face.items(), out.tolist(), strict=True) if lost)
             raise SuppleError(
-                f"{shown(path)} has {name} at ({at}), outside of the picture of {size[0]} x {size[1]} pixels: give the "
-                "landmarks of this picture, in pixels of it upright"
+                f"{shown(path)} has {name} at ({x:.5g}, {y:.5g}), outside of the picture of {size[0]} x {size[1]} "
+                "pixels: give the landmarks of this picture, in pixels of it upright"
             )
     if not faces:
         raise SuppleError(f"{shown(path)} has no face: {_GIVE}")
-    return tuple(sorted(faces, key=_extent, reverse=True))
+    return tuple(sorted(faces, key=lambda face: float(np.prod(np.ptp([*face.values()], axis=0))), reverse=True))
 
 
 def named(points: Floats, names: Sequence[str] = ()) -> Face:
-    """Return points (N, 2) by the names given, by those of their scheme, and as ``point_0``, ``point_1`` and so on."""
+    """Return points (N, 2) by the names given, or by those of their scheme and ``point_0``, ``point_1`` and so on."""
     places = np.asarray(points, np.float64)
-    face = {f"point_{k}": at for k, at in enumerate(places)}
     scheme = places if len(places) == 68 else places[[*_MESH]] if len(places) in (468, 478) else None
-    if scheme is not None:
-        face |= {name: scheme[[*own]].mean(axis=0) for name, own in _NAMES.items()}
+    face = {plain(name): at for name, at in zip(names, places, strict=False) if name}
+    if not face and scheme is not None:
+        face = {name: scheme[[*own]].mean(axis=0) for name, own in _NAMES.items()}
         face |= {f"jaw_{k + 1}": scheme[k] for k in range(17)}
         face |= {"forehead": places[10]} if len(places) > 68 else {}
-    face |= {plain(name): at for name, at in zip(names, places, strict=False) if name}
+    if not any(names):
+        face |= {f"point_{k}": at for k, at in enumerate(places)}
     return {name: (float(at[0]), float(at[1])) for name, at in face.items()}
 
 
@@ -118,87 +128,55 @@ def plain(name: str) -> str:
     return re.sub(r"[\s-]+", "_", name.strip().lower())
 
 
-def _extent(face: Face) -> float:
-    return float(np.prod(np.ptp(np.array([*face.values()]), axis=0)))
-
-
 def _of_table(path: PathLike) -> Face:
     read = read_points(path)
     names, table = read.labels, read._as_read
-    if not any(names) and isinstance(table, Table):  # without a header, a first cell of text is a name
-        first = [bare(table.records[row].cells[0]) for row in table.rows]
-        names = tuple(first) if 0 not in table.columns else ()
-    twice = next((name for k, name in enumerate(map(plain, names)) if name and name in map(plain, names[:k])), "")
-    if twice:
-        raise SuppleError(f"{read.name} has two landmarks {shown(twice)}: leave one out")
-    face = named(read.points[:, :2], names)
-    if all(name.startswith("point_") for name in face):
+    if not any(names) and 0 not in table.columns:  # without a header, a first cell of text is a name
+        names = tuple(bare(table.records[row].cells[0]) for row in table.rows)
+    if not any(names) and len(read.points) not in (68, 468, 478):
         raise SuppleError(f"{read.name} has {len(read.points)} points without names: give them in a column name")
+    face = named(read.points[:, :2], names)
+    if any(names) and len(face) < len(names):
+        raise SuppleError(f"{read.name} has a landmark without a name, or two of one: give each a name of its own")
     return face
 
 
-def _of_pts(path: PathLike, text: str) -> Floats:
-    body = re.search(r"\{([^{}]*)\}", text)
-    count = re.search(r"n_points\s*:\s*(\d+)", text)
-    rows = [line.replace(",", " ").split() for line in (body[1] if body else "").splitlines() if line.strip()]
-    if not rows or (count and int(count[1]) != len(rows)) or {len(row) for row in rows} != {2}:
-        raise unreadable(path, "it has no list of n_points points between { and }", _GIVE)
-    return np.array([[_number(path, x) for x in row] for row in rows]) - 1  # of which the first pixel is 1, 1
+def _of_pts(text: str) -> Floats:
+    rows = [
+        line.replace(",", " ").split() for line in text.partition("{")[2].partition("}")[0].split("\n") if line.strip()
+    ]
+    points = np.array([[float(x), float(y)] for x, y in rows])
+    if not rows or int(text.partition("n_points:")[2].split()[0]) != len(rows):
+        raise ValueError
+    return points
 
 
 def _of_xml(path: PathLike, text: str, size: tuple[int, int], picture: PathLike, turn: int) -> list[Face]:
-    try:
-        images = [*ElementTree.fromstring(text).iter("image")]
-    except ElementTree.ParseError as error:
-        raise unreadable(path, f"it is no whole XML ({error})", _GIVE) from None
+    images = [*ElementTree.fromstring(text).iter("image")]
     stem = PurePath(picture).stem
-    own = [each for each in images if PurePath(each.get("file", "").replace("\\", "/")).stem == stem]
-    if not own and (len(images) != 1 or not images[0].get("file")):
+    own = [each for each in images if PurePath(each.attrib["file"].replace("\\", "/")).stem == stem]
+    if not own:
         raise SuppleError(f"{shown(path)} has no image {shown(stem)}: add it, or give a file of its own")
-    (image, *_) = own or images
-    stored = (
-        turn >= 5 and size[0] != size[1] and (image.get("width"), image.get("height")) == (str(size[1]), str(size[0]))
-    )
+    across = turn >= 5 and (own[0].get("width"), own[0].get("height")) == (str(size[1]), str(size[0]))
     faces = []
-    for box in image.iter("box"):
-        parts = [(part.get("name", ""), [_number(path, part.get(axis)) for axis in "xy"]) for part in box.iter("part")]
-        if parts:
-            if all(name.isdigit() for name, _ in parts):
-                parts = [("", at) for _, at in sorted(parts, key=lambda part: int(part[0]))]
-            points = np.array([at for _, at in parts])
-            faces.append(named(_upright(points, size, turn) if stored else points, [name for name, _ in parts]))
+    for box in own[0].iter("box"):
+        parts = [(each.attrib["name"], float(each.attrib["x"]), float(each.attrib["y"])) for each in box.iter("part")]
+        names = [name for name, _, _ in parts]
+        if all(name.isdigit() for name in names):
+            parts, names = sorted(parts, key=lambda part: int(part[0])), []
+        points = np.array([at for _, *at in parts])
+        if across and size[0] != size[1]:  # on the stored pixels, which are upright once turned
+            x, y = points.T[::-1]
+            x, y = size[0] - 1 - x if turn in (6, 7) else x, size[1] - 1 - y if turn in (7, 8) else y
+            points = np.stack([x, y], axis=1)
+        if len(parts):
+            faces.append(named(points, names))
     return faces
 
 
-def _upright(points: Floats, size: tuple[int, int], turn: int) -> Floats:
-    """Return points on stored pixels, of an orientation from 5 to 8, in the upright picture."""
-    x, y = points.T[::-1]
-    return np.stack([size[0] - 1 - x if turn in (6, 7) else x, size[1] - 1 - y if turn in (7, 8) else y], axis=1)
-
-
-def _of_json(path: PathLike, text: str) -> list[Floats]:
-    wrong = unreadable(path, "it is no result of MediaPipe's face landmarker, with a list face_landmarks", _GIVE)
-    try:
-        data: Any = json.loads(text)
-    except (ValueError, RecursionError):
-        raise wrong from None
+def _of_json(text: str) -> list[Floats]:
+    data: Any = json.loads(text)
     if isinstance(data, dict):
-        names = ("face_landmarks", "faceLandmarks", "multi_face_landmarks", "multiFaceLandmarks")
-        data = next((data[name] for name in names if name in data), None)
-    faces = [face.get("landmark", face.get("landmarks")) if isinstance(face, dict) else face for face in data or ()]
-    for face in faces:
-        if not isinstance(face, list) or not all(isinstance(at, dict) and {"x", "y"} <= {*at} for at in face):
-            raise wrong
-    if data is None:
-        raise wrong
-    return [np.array([[_number(path, at[axis]) for axis in "xy"] for at in face]) for face in faces if face]
-
-
-def _number(path: PathLike, value: object) -> float:
-    try:
-        number = float(str(value))
-    except ValueError:
-        number = math.nan
-    if not abs(number) <= LARGEST:
-        raise unreadable(path, f"a coordinate is {value!r}", "give numbers")
-    return number
+        data = data[next((name for name in _LISTS if name in data), _LISTS[0])]
+    faces = [face["landmark"] if isinstance(face, dict) else face for face in data]
+    return [np.array([[float(at["x"]), float(at["y"])] for at in face]) for face in faces if face]
