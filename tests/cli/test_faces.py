@@ -163,8 +163,8 @@ def test_faces_of_many_pictures(run: Run, here: Path) -> None:
     )
     assert status == 2
     assert err.splitlines() == [
-        "supple: in/c.png has no landmarks: put c.pts, .csv, .xml or .json beside it, or pip install 'supple[face]', by "
-        "which faces are found",
+        "supple: in/c.png has no landmarks: put c.pts, .csv, .xml or .json beside it, or pip install 'supple[face]', "
+        "by which faces are found",
         "supple: 2 of 3 files written into out, 1 failed: in/c.png",
     ]
     assert [json.loads(line).get("strokes") for line in out.splitlines()].count(1) == 2

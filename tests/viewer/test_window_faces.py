@@ -117,7 +117,7 @@ def test_a_face_of_several_is_chosen(gpu: Gpu, tmp_path: Path, boxes: dict[str, 
 
 def test_without_landmarks_the_section_says_so(gpu: Gpu, tmp_path: Path, boxes: dict[str, tuple[float, ...]]) -> None:
     shutil.copy(PORTRAIT, tmp_path / "portrait.jpg")
-    view, hand = window(tmp_path / "portrait.jpg")
+    view, _ = window(tmp_path / "portrait.jpg")
     assert "##slim" not in boxes
     assert "portrait.jpg has no landmarks: put portrait.pts" in view.faces
     assert "supple[face]" in view.faces

@@ -123,7 +123,7 @@ _ONE = threading.Lock()
 
 @cache
 def _models() -> tuple[Any, Any]:
-    import dlib  # type: ignore[import-not-found]
+    import dlib
 
     spec = find_spec("face_recognition_models")  # not imported: it needs an old setuptools
     (folder,) = (spec and spec.submodule_search_locations) or ("",)
