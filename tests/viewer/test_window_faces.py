@@ -121,3 +121,14 @@ def test_without_landmarks_the_section_says_so(gpu: Gpu, tmp_path: Path, boxes: 
     assert "##slim" not in boxes
     assert "portrait.jpg has no landmarks: put portrait.pts" in view.faces
     assert "supple[face]" in view.faces
+
+
+def test_a_recipe_of_landmarks_is_opened(gpu: Gpu, tmp_path: Path) -> None:
+    shutil.copy(PORTRAIT, tmp_path / "portrait.jpg")
+    shutil.copy(MARKS, tmp_path / "portrait.pts")
+    text = '{"supple": 3, "strokes": [{"brush": "grab", "at": "chin", "by": ["1%", 0], "radius": "10%"}]}'
+    (tmp_path / "r.json").write_text(text)
+    view, _ = window(tmp_path / "portrait.jpg")
+    view.commands.open(tmp_path / "r.json")
+    (face,) = faces_of(tmp_path / "portrait.jpg")
+    assert view.document.strokes == (Stroke.grab(face["chin"], by=(5.12, 0), radius=51.2),)

@@ -17,7 +17,7 @@ from supple.errors import SuppleError, argument, shown
 from supple.media.faces import SUFFIXES, Face, named, read_faces
 from supple.media.files import PathLike
 from supple.media.image import info
-from supple.space.checks import number, refuse
+from supple.space.checks import choice, number
 from supple.space.geometry import Floats
 from supple.strokes import Stroke
 
@@ -31,18 +31,14 @@ _AROUND = 0.45  # how far beyond the outline of the face nothing moves
 _APART = 0.03  # between handles
 _CHIN = 1.8  # below the eyes, where no landmark says it
 _EYES = tuple(f"{side}_eye_{end}" for side in ("left", "right") for end in ("inner", "outer", "top", "bottom"))
+_PAIRS = {"mouth": ("mouth_left", "mouth_right"), "nose": ("nose_left", "nose_right")}
 _FIXED = (
-    *(f"{side}_brow{end}" for side in ("left", "right") for end in ("_inner", "", "_outer")),
+    "left_eye", "right_eye", *(f"{side}_brow{end}" for side in ("left", "right") for end in ("_inner", "", "_outer")),
     "nose_bridge", "nose_tip", "nose_base", "forehead", "mouth_top", "mouth_bottom",
 )  # fmt: skip
 _OUTLINE = ("ear_right", "jaw_right", *(f"jaw_{k}" for k in range(1, 18)), "chin", "jaw_left", "ear_left")
-_NEEDED = {
-    "slim": ("jaw_left", "jaw_right", "chin"),
-    "eyes": _EYES,
-    "smile": ("mouth_left", "mouth_right"),
-    "nose": ("nose_left", "nose_right"),
-    "jaw": ("jaw_left", "jaw_right", "chin"),
-}
+_NEEDED = {"eyes": _EYES, "smile": _PAIRS["mouth"], "nose": _PAIRS["nose"]}
+_NEEDED |= dict.fromkeys(("slim", "jaw"), ("jaw_left", "jaw_right", "chin"))
 
 
 def faces_of(picture: PathLike, landmarks: PathLike | None = None) -> tuple[Face, ...]:
@@ -157,75 +153,57 @@ def face_stroke(face: Face, *, place: int = 1, **percents: float) -> Stroke:
     SuppleError
         If a percentage is not from -100 to 100, or a landmark is missing that it needs.
     """
-    wrong = next((name for name in percents if name not in ADJUSTMENTS), None)
-    if wrong is not None:
-        refuse("an adjustment", " or ".join(ADJUSTMENTS), wrong)
     part = dict.fromkeys(ADJUSTMENTS, 0.0)
     for name, percent in percents.items():
+        choice("an adjustment", name, ADJUSTMENTS)
         part[name] = number(name, percent, "percent from -100 to 100", -100, 100) / 100
     places = {name: np.array(at) for name, at in face.items()}
-    for name, share in part.items():
-        missing = next((mark for mark in _NEEDED[name] if share and mark not in places), None)
-        if missing is not None:
-            raise SuppleError(f"there is no landmark {missing}, which {argument(name)} needs: add it")
-    for side in ("left", "right"):
-        corners = [places[name] for name in (f"{side}_eye_inner", f"{side}_eye_outer") if name in places]
-        if f"{side}_eye" not in places and len(corners) == 2:
-            places[f"{side}_eye"] = np.mean(corners, axis=0)
-        if f"{side}_eye" not in places:
-            raise SuppleError(f"there is no landmark {side}_eye, by which the size of a face is measured: add it")
+    for eye in ("left_eye", "right_eye"):
+        corners = [places[name] for name in (f"{eye}_inner", f"{eye}_outer") if name in places]
+        places |= {eye: np.mean(corners, axis=0)} if eye not in places and len(corners) == 2 else {}
+    needed: dict[str, tuple[str, ...]] = {"the size of a face": ("left_eye", "right_eye")}
+    needed |= {argument(name): marks for name, marks in _NEEDED.items() if part[name]}
+    for what, marks in needed.items():
+        if missing := [mark for mark in marks if mark not in places]:
+            raise SuppleError(f"there is no landmark {missing[0]}, which {what} needs: add it")
     left, right = places["left_eye"], places["right_eye"]
     unit = float(np.linalg.norm(left - right))
     if not unit > 0:
         raise SuppleError("left_eye and right_eye are at one place, so that the face has no size: move one")
     across, centre = (left - right) / unit, places.get("nose_bridge", (left + right) / 2)
     down = np.array([-across[1], across[0]])
-    below = next((places[name] for name in ("chin", "mouth", "mouth_bottom", "nose_tip") if name in places), None)
-    if below is not None and (below - centre) @ down < 0:
-        down = -down  # the person's left is on the left: a mirrored picture
+    below = next((places[name] for name in ("chin", "mouth", "mouth_bottom", "nose_tip") if name in places), centre)
+    down = -down if (below - centre) @ down < 0 else down  # the person's left is on the left: a mirrored picture
     middle = places.get("chin", centre + _CHIN * unit * down) - centre  # the way from the eyes to the chin
-    length = middle @ down
 
-    def aside(at: Floats) -> float:
-        """Return how far a point is from the middle of the face."""
-        return float((at - centre - (at - centre) @ down / length * middle) @ across)
+    def move(name: str) -> Floats:
+        at = places[name]
+        depth = (at - centre) @ down / (middle @ down)  # 0 at the eyes, 1 at the chin
+        aside = (at - centre - depth * middle) @ across  # from the middle of the face
+        if name in _EYES:
+            return np.asarray(part["eyes"] * (at - places[name.rpartition("_")[0]]))
+        if name in _PAIRS["mouth"]:
+            half = (at - places[_PAIRS["mouth"][0]] + at - places[_PAIRS["mouth"][1]]) @ across / 2
+            out = 0.5 * part["smile"] - 0.15 * part["slim"]
+            return np.asarray(out * half * across - part["smile"] * abs(half) * down)
+        if name in _PAIRS["nose"]:
+            return np.asarray(part["nose"] * aside * across)
+        if name not in _OUTLINE:
+            return np.zeros(2)
+        cheeks, chin = np.clip([depth / 0.45, depth / 0.25 - 3], 0, 1)
+        slim = cheeks**2 * (3 - 2 * cheeks) * (1 - 0.6 * chin**2)
+        jaw = np.exp(-(((depth - 0.72) / 0.2) ** 2))
+        return np.asarray(0.5 * (part["jaw"] * jaw - part["slim"] * slim) * aside * across)
 
     handles: list[tuple[Floats, Floats]] = []
-
-    def add(name: str, move: Floats) -> None:
+    mouth = _PAIRS["mouth"] if {*_PAIRS["mouth"]} <= {*places} else ()
+    outline = _OUTLINE if part["slim"] or part["jaw"] else ()
+    for name in (*_EYES, *mouth, *_PAIRS["nose"], *_FIXED, *outline):
         if name in places and all(np.linalg.norm(at - places[name]) > _APART * unit for at, _ in handles):
-            handles.append((places[name], move))
-
-    for name in _EYES:
-        if name in places:
-            add(name, part["eyes"] * (places[name] - places[name.rsplit("_", 1)[0]]))
-    if not all(name in places for name in _EYES):
-        add("left_eye", 0 * across)
-        add("right_eye", 0 * across)
-    mouth = (places["mouth_left"] + places["mouth_right"]) / 2 if {"mouth_left", "mouth_right"} <= {*places} else None
-    for name in ("mouth_left", "mouth_right"):
-        if name in places and mouth is not None:
-            half = (places[name] - mouth) @ across
-            smile = part["smile"] * (0.5 * half * across - abs(half) * down)
-            add(name, smile - 0.15 * part["slim"] * half * across)
-    for name in ("nose_left", "nose_right"):
-        if name in places:
-            add(name, part["nose"] * aside(places[name]) * across)
-    for name in _FIXED:
-        add(name, 0 * across)
-    if part["slim"] or part["jaw"]:
-        first = len(handles)
-        for name in _OUTLINE:
-            if name in places:
-                below_eyes = float((places[name] - centre) @ down / length)
-                cheeks = min(max(below_eyes / 0.45, 0), 1)
-                slim = cheeks**2 * (3 - 2 * cheeks) * (1 - 0.6 * min(max(below_eyes / 0.25 - 3, 0), 1) ** 2)
-                wide = np.exp(-(((below_eyes - 0.72) / 0.2) ** 2))
-                share = 0.5 * (part["jaw"] * wide - part["slim"] * slim)
-                add(name, share * aside(places[name]) * across)
-        for at, _ in handles[first:]:
-            out = at - centre
-            handles.append((at + _AROUND * unit * out / np.linalg.norm(out), 0 * across))
+            handles.append((places[name], move(name)))
+            if name in outline:
+                out = places[name] - centre
+                handles.append((places[name] + _AROUND * unit * out / np.linalg.norm(out), np.zeros(2)))
     points, moves = zip(*handles, strict=True)
     said = ", ".join(f"{name} {100 * share:g}" for name, share in part.items() if share)
     return replace(Stroke.pull(points, by=moves, radius=_RADIUS * unit), name=f"face {place}: {said}")

@@ -20,7 +20,6 @@ if TYPE_CHECKING:
 
 _POINT = re.compile(r"\s*([^\W\d]\w*)(?:@(\d+))?\s*([+-].*)?")
 _NUMBERS = ("inf", "infinity", "nan")
-_KEYS = ("at", "to", "by", "path", "also", "radius")
 _OFFSET = "+DX,DY in pixels or percent (nose_tip+0,10%, say)"
 
 
@@ -73,7 +72,7 @@ class Places:
     def unit(self) -> float:
         """The length of 100 %."""
         if self.percent_of is not None:
-            ends = self.percent_of.split(":")
+            ends = str(self.percent_of).split(":")
             if len(ends) != 2:
                 raise SuppleError(
                     f"{argument('percent_of')} must be two landmarks, A:B (left_eye:right_eye, say), found "
@@ -147,27 +146,22 @@ class Places:
 
     def resolve(self, recipe: dict[str, Any]) -> None:
         """Put numbers in place of landmarks and percentages in the JSON of a recipe."""
-        before, self.used = self.used, False
         own = recipe.pop("percent_of", None)
-        if self.percent_of is None and isinstance(own, str):
-            self.percent_of = own
+        places = Places(self.medium, self.landmarks, self.percent_of or own)  # as its percentages are
         strokes = recipe.get("strokes")
         for k, stroke in enumerate(strokes if isinstance(strokes, list) else ()):
-            where = f"strokes[{k}]: "
-            for key in _KEYS if isinstance(stroke, dict) else ():
-                if key in stroke:
-                    stroke[key] = self._resolved(f"{where}{key}", key, stroke[key])
-        if self.used and recipe.get("size") is not None:
+            for key in {"at", "to", "by", "path", "also", "radius"} & {*stroke} if isinstance(stroke, dict) else ():
+                stroke[key] = places._resolved(f"strokes[{k}]: {key}", key, stroke[key])
+        if places.used and recipe.get("size") is not None:
             raise SuppleError('a recipe of landmarks or percentages is for pictures of any size: leave "size" out')
-        self.used |= before
+        self.used |= places.used
 
     def _resolved(self, name: str, key: str, value: Any) -> Any:
-        if isinstance(value, list) and key == "also":
-            pairs = [pair if isinstance(pair, list) else [pair] for pair in value]
-            return [[self._resolved(name, *each) for each in zip(("at", "by"), pair, strict=False)] for pair in pairs]
-        if isinstance(value, list) and key in ("path", "by"):
-            return [self._resolved(name, "at" if key == "path" else "radius", each) for each in value]
-        if not isinstance(value, str):
+        """Return the value of a key with numbers; what is no text, or no list of some, is checked later."""
+        inner = {"path": ("at",), "by": ("radius",), "also": ("pair",), "pair": ("at", "by")}.get(key)
+        if inner and isinstance(value, list) and (len(inner) == 1 or len(value) == len(inner)):
+            return [self._resolved(name, inner[k % len(inner)], each) for k, each in enumerate(value)]
+        if inner or not isinstance(value, str):
             return value
         return self.length(name, value, "a number, or a percentage") if key == "radius" else [*self.point(name, value)]
 
