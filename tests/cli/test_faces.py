@@ -154,7 +154,7 @@ def test_faces_of_many_pictures(run: Run, here: Path) -> None:
     portrait = image.read(PORTRAIT).pixels
     for name, top in {"a": 0, "b": 20}.items():
         image.write(f"in/{name}.png", portrait[top : top + 300])
-        text = Path(__file__).parent.parent.joinpath("files", "astronaut.pts").read_text().splitlines()
+        text = PORTRAIT.with_suffix(".pts").read_text().splitlines()
         rows = [f"{x} {float(y) - top}" for x, y in map(str.split, text[3:-1])]
         Path(f"in/{name}.pts").write_text("\n".join([*text[:3], *rows, "}"]))
     image.write("in/c.png", portrait[300:])

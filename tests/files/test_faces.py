@@ -21,7 +21,7 @@ from supple.media.faces import Face, read_faces
 HERE = Path(__file__).parent
 PORTRAIT = Path(supple.__file__).parent / "examples" / "data" / "astronaut.jpg"
 SIZE = (512, 512)
-FACE = read_faces(HERE / "astronaut.pts", SIZE)[0]
+FACE = read_faces(PORTRAIT.with_suffix(".pts"), SIZE)[0]
 UNIT = math.dist(FACE["left_eye"], FACE["right_eye"])
 
 
@@ -33,9 +33,9 @@ def moved(names: list[str], **percents: float) -> np.ndarray:
     return bent(**percents).forward(np.array([FACE[name] for name in names]))
 
 
-@pytest.mark.parametrize("file", ["astronaut.pts", "astronaut.json"])
-def test_eyes_get_larger_about_their_middle(file: str) -> None:
-    (face,) = read_faces(HERE / file, SIZE)
+@pytest.mark.parametrize("file", [PORTRAIT.with_suffix(".pts"), HERE / "astronaut.json"])
+def test_eyes_get_larger_about_their_middle(file: Path) -> None:
+    (face,) = read_faces(file, SIZE)
     d = Deformation.from_recipe(supple.Recipe(strokes=(face_stroke(face, eyes=15),)), SIZE)
     for side, end in itertools.product(("left", "right"), ("inner", "outer", "top", "bottom")):
         middle, at = (np.array(face[name]) for name in (f"{side}_eye", f"{side}_eye_{end}"))
@@ -128,7 +128,7 @@ def test_where_landmarks_are_looked_for(tmp_path: Path, monkeypatch: pytest.Monk
         faces_of(picture)
     with pytest.raises(SuppleError, match=r"marks has no landmarks of .*one.png: add one.pts or .csv"):
         faces_of(picture, marks)
-    text = (HERE / "astronaut.pts").read_text()
+    text = (PORTRAIT.with_suffix(".pts")).read_text()
     (marks / "one.pts").write_text(text)
     (marks / "one_68.pts").write_text(text)
     for given_as in (marks, marks / "one.pts", marks / "*_68.pts"):

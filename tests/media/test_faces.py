@@ -10,11 +10,13 @@ import numpy as np
 import pytest
 import pyvips
 
+import supple
 from supple.errors import SuppleError
 from supple.media import image
 from supple.media.faces import Face, named, read_faces
 
-HERE = Path(__file__).parent.parent / "files"
+MESH = Path(__file__).parent.parent / "files" / "astronaut.json"
+MARKS = Path(supple.__file__).parent / "examples" / "data" / "astronaut.pts"
 SIZE = (512, 512)  # of the astronaut
 POINTS = np.random.default_rng(7).uniform(20, 80, (68, 2)).round(3)
 
@@ -62,8 +64,8 @@ def test_all_kinds_of_files_hold_the_same_points(tmp_path: Path) -> None:
 
 
 def test_dlib_and_mediapipe_agree_on_a_portrait() -> None:
-    (one,) = read_faces(HERE / "astronaut.pts", SIZE)
-    (other,) = read_faces(HERE / "astronaut.json", SIZE)
+    (one,) = read_faces(MARKS, SIZE)
+    (other,) = read_faces(MESH, SIZE)
     unit = np.subtract(one["left_eye"], one["right_eye"]) @ (1, 0)
     assert unit > 0  # her left eye is on the right
     assert "forehead" in other

@@ -22,7 +22,7 @@ pytest.importorskip("rendercanvas")
 pytest.importorskip("imgui_bundle")
 
 PORTRAIT = Path(supple.__file__).parent / "examples" / "data" / "astronaut.jpg"
-MARKS = Path(__file__).parent.parent / "files" / "astronaut.pts"
+MARKS = PORTRAIT.with_suffix(".pts")
 
 
 @pytest.fixture(autouse=True)
