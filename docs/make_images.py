@@ -441,7 +441,9 @@ def portraits(folder: Path) -> None:
     (folder / "landmarks").mkdir()
     photo = pyvips.Image.new_from_file(str(DATA / "astronaut.jpg"))
     (face,) = read_faces(DATA / "astronaut.pts", (photo.width, photo.height))
-    for k, (side, tilt, size) in enumerate(((225, 0, 480), (190, -9, 360), (180, 12, 600), (200, 6, 420), (212, -5, 300))):
+    for k, (side, tilt, size) in enumerate(
+        ((225, 0, 480), (190, -9, 360), (180, 12, 600), (200, 6, 420), (212, -5, 300))
+    ):
         turn = size / side * np.array([[np.cos(np.radians(tilt)), -np.sin(np.radians(tilt))], [0, 0]])
         turn[1] = -turn[0, 1], turn[0, 0]
         turn = turn if k < 4 else np.diag([-1, 1]) @ turn

@@ -162,8 +162,8 @@ def _dispatch(arguments: Sequence[str]) -> None:
         if value == "-" and option in _OF_FILES:
             raise SuppleError(f"{option} - is not possible: - is for the files IN and OUT; name a file")
     arguments = [STREAM if argument == "-" else argument for argument in arguments]
-    if STREAM in arguments and arguments[0] not in ("warp", "face", "info", "points"):
-        raise SuppleError("- for standard input or output is for warp, face, info and points: give the name of a file")
+    if STREAM in arguments and arguments[0] not in ("warp", "info", "points"):
+        raise SuppleError("- for standard input or output is for warp, info and points: give the name of a file")
     current().arguments = tuple(arguments)
     try:
         app(list(arguments), exit_on_error=False, print_error=False, verbose=False)

@@ -78,10 +78,11 @@ class StrokeOptions:
     ----------
     grab
         Drag the first point to the second, or through more of them to the last. Pixels are counted from the top
-        left one, which is 0,0; a landmark's name may stand for a point of a picture, with an offset if it has one:
-        left_eye, nose_tip+0,10%. In a video, a third number is the frame, counted from 0, or its timecode,
+        left one, which is 0,0. In a video, a third number is the frame, counted from 0, or its timecode,
         00:00:12:08; in a volume, points are voxels x,y,z. Give it and the next four several times, mixed as you like,
-        for several strokes, which are applied in order.
+        for several strokes, which are applied in order. In a picture, a landmark may stand for a point, with or without
+        an offset: left_eye, nose_tip+0,10%.
+
     twist
         Turn what is around a point by an angle in degrees, clockwise; in a volume, right-handed about an axis: its
         direction DX,DY,DZ (default z).
@@ -470,7 +471,7 @@ class StrokeOptions:
                 stroke, space = _pull(text, next(asked), place, world, brush, places)
             else:
                 scale, flat = (next(scales), next(flats)) if option == "--grab" else (1, 0.0)
-                stroke = _stroke(option, places.plain(option, text), frames, scales=scale, flat=flat, **brush)
+                stroke = _stroke(option, text, frames, places, scales=scale, flat=flat, **brush)
                 space = None
             if made and made[0].stroke.ndim != stroke.ndim:
                 first = f"{made[0].told} of {made[0].stroke.ndim}"
@@ -583,14 +584,22 @@ def _pull(
 
 
 def _stroke(
-    option: str, text: str, frames: Frames | None, *, scales: float, flat: float, **brush: float | None
+    option: str,
+    text: str,
+    frames: Frames | None,
+    places: "Places",
+    *,
+    scales: float,
+    flat: float,
+    **brush: float | None,
 ) -> "Stroke":
     """Read a stroke from the command line."""
     from supple.strokes import Stroke
 
     wrong = SuppleError(f"{option} must be {_WANTED[option]}, found {text!r}")
     try:
-        plain = text if frames is None else frames.plain(option, text)
+        plain = places.plain(option, text)
+        plain = plain if frames is None else frames.plain(option, plain)
         at, *rest = [[float(x) for x in part.split(",")] for part in plain.split(":")]
         if frames is not None and frames.first is not None and len(at) == 3:
             for point in (at, *rest) if option == "--grab" else (at,):

@@ -131,13 +131,15 @@ class Places:
         return at[0] + dx, at[1] + dy
 
     def plain(self, name: str, text: str) -> str:
-        """Return the text of an option, with numbers in place of landmarks, and of lengths in percent."""
+        """Return the text of an option, with numbers in place of landmarks, and of a last length in percent."""
+        ends = text.split(":")
+        count = len(ends) if name in ("--grab", "--mirror") else len(ends) - 1 if name == "--push" else 1
 
         def parts() -> Iterator[str]:
-            for part in text.split(":"):
-                if _POINT.fullmatch(part) and part.strip().lower() not in _NUMBERS:
+            for k, part in enumerate(ends):
+                if k < count and _POINT.fullmatch(part) and part.strip().lower() not in _NUMBERS:
                     yield ",".join(map(repr, self.point(name, part)))
-                elif part.strip().endswith("%") and "," not in part:
+                elif k >= count and name == "--push" and part.strip().endswith("%"):
                     yield repr(self.length(name, part, "a length in percent"))
                 else:
                     yield part
@@ -161,7 +163,7 @@ class Places:
         inner = {"path": ("at",), "by": ("radius",), "also": ("pair",), "pair": ("at", "by")}.get(key)
         if inner and isinstance(value, list) and (len(inner) == 1 or len(value) == len(inner)):
             return [self._resolved(name, inner[k % len(inner)], each) for k, each in enumerate(value)]
-        if inner or not isinstance(value, str):
+        if inner or not isinstance(value, str) or (key == "radius" and not value.endswith("%")):
             return value
         return self.length(name, value, "a number, or a percentage") if key == "radius" else [*self.point(name, value)]
 
