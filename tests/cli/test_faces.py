@@ -119,6 +119,10 @@ def test_one_recipe_fits_every_portrait(run: Run, portraits: Path) -> None:
     )
     assert run("warp", "in/b.png", "again.png", "--recipe", "n.json")[0] == 0
     same("again.png", image.read("out/b.png").pixels)
+    more = ("--grab", "chin:chin+2,0", "--radius", "9", "--landmarks", "marks")
+    assert run("warp", "in/b.png", "more.png", "--recipe", "n.json", *more)[0] == 0
+    said = one_line(run("warp", "in/a.png", "x.png", "--recipe", "n.json", *more)[2])
+    assert "n.json was made for another size than in/a.png" in said
     Path("r.json").write_text(json.dumps({**recipe, "size": [48, 40]}))
     said = one_line(run("warp", "in/a.png", "x.png", "--recipe", "r.json", "--landmarks", "marks")[2])
     assert 'leave "size" out' in said

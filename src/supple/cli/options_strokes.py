@@ -356,6 +356,13 @@ class StrokeOptions:
             from supple.files.recipes import read_recipe
 
             made = read_recipe(self.recipe, frames=None if frames is None else frames.read, resolve=places.resolve)
+            if places.used and places.medium is not None and made.size is not None:
+                grid = places.medium.grid
+                if grid is None or made.size != grid.sizes:  # by which all would be scaled
+                    raise SuppleError(
+                        f"{self.recipe} was made for another size than {places.medium.name}, for which landmarks and "
+                        "percentages beside it are: leave it out, or them"
+                    )
             if strokes and made.is_world and not world and space is None:
                 option = next(option for option, values in self.given.items() if values)
                 raise SuppleError(
