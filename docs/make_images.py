@@ -27,6 +27,7 @@ from supple.augment import RandomElastic, apply
 from supple.files.tracks import follow_tracks
 from supple.files.volumes import open_volume
 from supple.media import image
+from supple.media.faces import read_faces
 from supple.plot import figure
 from supple.render.annotate import annotated
 from supple.render.camera import Camera
@@ -420,6 +421,7 @@ def inputs(folder: Path) -> None:
     (folder / "before.csv").write_text("label,x,y\nleft,186,148\nright,265,148\nnose,225,120\n")
     (folder / "after.csv").write_text("label,x,y\nnose,225,120\nleft,190,147\nright,261,147\n")
     (folder / "nose.csv").write_text("frame,x,y\n10,330,160\n30,342,153\n")
+    portraits(folder)
     face = np.hypot((np.arange(512) - 225) / 75, (np.arange(512)[:, None] - 115) / 95) < 1
     image.write(folder / "mask.png", np.where(face, 255, 0).astype(np.uint8))
     head, brain = (sitk.ReadImage(str(DATA / f"{name}.nii.gz")) for name in ("head", "brain"))
@@ -431,6 +433,28 @@ def inputs(folder: Path) -> None:
         made = sitk.GetImageFromArray(array)
         made.CopyInformation(brain)
         sitk.WriteImage(made, str(folder / f"{name}.nii.gz"))
+
+
+def portraits(folder: Path) -> None:
+    """Five pictures of a face, each with its landmarks: of other sizes and tilts, and one mirrored."""
+    (folder / "portraits").mkdir()
+    (folder / "landmarks").mkdir()
+    photo = pyvips.Image.new_from_file(str(DATA / "astronaut.jpg"))
+    (face,) = read_faces(DATA / "astronaut.pts", (photo.width, photo.height))
+    for k, (side, tilt, size) in enumerate(
+        ((225, 0, 480), (190, -9, 360), (180, 12, 600), (200, 6, 420), (212, -5, 300))
+    ):
+        turn = size / side * np.array([[np.cos(np.radians(tilt)), -np.sin(np.radians(tilt))], [0, 0]])
+        turn[1] = -turn[0, 1], turn[0, 0]
+        turn = turn if k < 4 else np.diag([-1, 1]) @ turn
+        shift = np.array([size / 2, 0.46 * size]) - turn @ (225, 112)
+        made = photo.affine(
+            turn.ravel().tolist(), odx=shift[0], ody=shift[1], oarea=[0, 0, size, size],
+            interpolate=pyvips.Interpolate.new("bicubic"),
+        )  # fmt: skip
+        made.jpegsave(str(folder / "portraits" / f"{k + 1}.jpg"), Q=95)
+        rows = [f"{name},{x:.1f},{y:.1f}" for name, at in face.items() for x, y in [turn @ at + shift]]
+        (folder / "landmarks" / f"{k + 1}.csv").write_text("\n".join(["name,x,y", *rows, ""]))
 
 
 def how_to(folder: Path) -> None:
@@ -452,6 +476,9 @@ def how_to(folder: Path) -> None:
         face, eyes = np.s_[40:205, 150:295], np.s_[82:124, 183:267]
         side_by_side(folder / "how-to-cheek.webp", [shown(pixels[face], 2.6) for pixels in (portrait, slim)])
         side_by_side(folder / "how-to-eye.webp", [shown(pixels[eyes], 4.8) for pixels in (portrait, wide)])
+        names = [f"{k}.jpg" for k in range(1, 6)]
+        many = [image.read(made / where / name).pixels for where in ("portraits", "retouched") for name in names]
+        side_by_side(folder / "how-to-faces.webp", [shown(pixels, 230 / len(pixels)) for pixels in many], across=5)
         lines = (("wall", 110.7, 94.7), ("straight", 113.7, 97.9))
         walls = [ruled(image.read(made / f"{n}.png").pixels, top, bottom) for n, top, bottom in lines]
         side_by_side(folder / "how-to-line.webp", walls)

@@ -337,7 +337,10 @@ REFUSED: dict[str, list[tuple[str, str]]] = {
         ("points a.csv b.csv", "give --on FILE"),
         ("warp in.png x.png --radius", "--radius needs a value after it"),
         ("plan in.png out.zarr", "more names than this command takes: leave out 'out.zarr'"),
-        ("wrap in.png", 'Unknown command "wrap". Did you mean "warp"? The commands are warp, plot, render, points,'),
+        (
+            "wrap in.png",
+            'Unknown command "wrap". Did you mean "warp"? The commands are warp, face, plot, render, points,',
+        ),
         ("frob", "plan, info, view, invert, check, compose, convert, demo (supple --help"),
         ("--versio", 'Unknown option "--versio"'),
         ("warp in.png x.png GRAB --border none,3", "for each axis, found 'none,3'"),

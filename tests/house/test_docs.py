@@ -44,6 +44,11 @@ def copy_inputs(folder: Path) -> None:
     (folder / "bow.csv").write_text("x,y\n102,100\n95,200\n93.5,300\n")
     (folder / "line.csv").write_text("x,y\n110,100\n106,200\n102,300\n")
     (folder / "nose.csv").write_text("frame,x,y\n10,330,160\n30,342,153\n")
+    for place in ("portraits", "landmarks"):
+        (folder / place).mkdir()
+    shutil.copy(DATA / "astronaut.jpg", folder / "portraits" / "1.jpg")
+    for place in ("landmarks/1.pts", "portrait.pts"):
+        shutil.copy(DATA / "astronaut.pts", folder / place)
 
 
 @pytest.mark.filterwarnings("error")
@@ -65,7 +70,7 @@ def test_the_commands_of_the_how_to_page_run_without_a_warning(
     copy_inputs(tmp_path)
     page = (ROOT / "docs" / "how-to.md").read_text(encoding="utf-8").replace("\\\n", " ")
     lines = [shlex.split(line) for line in re.findall(r"^supple (.*)$", page, re.MULTILINE)]
-    assert len(lines) == 12
+    assert len(lines) == 13
     for line in lines:
         assert (command(line), capsys.readouterr().err) == (0, ""), line
         assert Path(line[2]).exists()
@@ -104,6 +109,7 @@ def test_every_option_that_is_named_exists_and_every_one_that_exists_is_named(
     helps = {}
     verbs = (
         "warp",
+        "face",
         "track",
         "render",
         "points",

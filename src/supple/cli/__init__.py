@@ -36,6 +36,12 @@ Examples:
   supple warp cells.zarr bent.zarr --recipe strokes.json --workers 8
   supple warp moving.nii.gz seen.nii.gz --affine 0GenericAffine.mat --field 1Warp.nii.gz --reference fixed.nii.gz
 """
+_FACE_EXAMPLES = """\
+Examples:
+
+  supple face photo.jpg out.jpg --slim 20 --eyes 15 --smile 10 --nose -10
+  supple face portraits/ done/ --slim 15 --landmarks landmarks/
+"""
 _PLAN_EXAMPLES = """\
 Examples:
 
@@ -98,6 +104,7 @@ Examples:
 # The module of each command, its usage, and examples. Only the module of the given command is imported.
 _COMMANDS = (
     ("cli.warp:warp", f"warp IN... OUT {_GRAB}", _WARP_EXAMPLES),
+    ("cli.face:face", "face IN... OUT [--slim P] [--eyes P] [--smile P] [--nose P] [OPTIONS]", _FACE_EXAMPLES),
     ("cli.plot:plot", f"plot IN OUT.png {_GRAB}", ""),
     ("cli.volume:render", f"render VOLUME OUT [{_GRAB}]", _RENDER_EXAMPLES),
     ("cli.volume:points", f"points IN OUT --on FILE {_GRAB}", _POINTS_EXAMPLES),

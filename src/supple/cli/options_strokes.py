@@ -4,6 +4,7 @@ import math
 import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import chain
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -14,6 +15,8 @@ from supple.cli.options import COORDINATES, Frames, number, parse_integer, parse
 from supple.errors import SuppleError, shown
 
 if TYPE_CHECKING:
+    from supple.files.places import Places
+    from supple.media.medium import Medium
     from supple.space.domain import Border
     from supple.space.freezing import Freeze
     from supple.space.straighten import Straighten
@@ -77,7 +80,9 @@ class StrokeOptions:
         Drag the first point to the second, or through more of them to the last. Pixels are counted from the top
         left one, which is 0,0. In a video, a third number is the frame, counted from 0, or its timecode,
         00:00:12:08; in a volume, points are voxels x,y,z. Give it and the next four several times, mixed as you like,
-        for several strokes, which are applied in order.
+        for several strokes, which are applied in order. In a picture, a landmark may stand for a point, with or without
+        an offset: left_eye, nose_tip+0,10%.
+
     twist
         Turn what is around a point by an angle in degrees, clockwise; in a volume, right-handed about an axis: its
         direction DX,DY,DZ (default z).
@@ -90,12 +95,14 @@ class StrokeOptions:
         Drag many points at once: those of a file to those of another, CSV, .fcsv or .mrk.json. Points with labels are
         matched by these, others in order; a point that is the same in both is a pin. Files in millimetres (LPS or
         RAS) are taken as they say; give --world if other strokes are in millimetres too. For a volume, a table that
-        does not say what its numbers are needs --convention LPS, RAS or index (voxels).
+        does not say what its numbers are needs --convention LPS, RAS or index (voxels). For pictures, they may also be
+        files of landmarks, or folders, of which each has a file with the picture's stem.
     push
         Push what lies along a way, of two points or more, sideways: to the left of it by pixels, or below 0 to the
         right. It is for pictures, and for every frame of a video.
     radius
-        Radius of the brush: in pixels, in volumes in millimetres. Give --radius, --poisson, --reach and --time-radius
+        Radius of the brush: in pixels, in volumes in millimetres; or, 12%, in percent of the shortest side, or of what
+        --percent-of says. Give --radius, --poisson, --reach and --time-radius
         once for all strokes, or once for each; --scales and --flat once for all grabs, or once for each.
     poisson
         Poisson's ratio of the material, at most 0.5 (default 0.4). The higher it is, the more the material gives
@@ -139,6 +146,12 @@ class StrokeOptions:
         of the picture as at 100%. Beyond 100%, as much as is possible without a fold, and it is said if that is less.
     strength
         The same for single strokes: give it once for all, or once for each.
+    landmarks
+        Landmarks of the faces of a picture: CSV with columns name, x and y, .pts, XML of dlib, JSON of MediaPipe; or a
+        folder that has a file for each picture, with its stem; or a pattern, in which * stands for that. By default,
+        the file beside the picture, or those that are found, if supple[face] is installed.
+    percent_of
+        Two landmarks whose distance is 100%: left_eye:right_eye, say (default: the shortest side).
     mirror
         Make each stroke of the command line on the other side as well: of the line x = X, or of one through two points.
     fit
@@ -183,6 +196,8 @@ class StrokeOptions:
     ] = None
     amount: Annotated[str | None, Parameter(allow_leading_hyphen=True, metavar="PART")] = None
     strength: Annotated[list[str], Parameter(allow_leading_hyphen=True, metavar="PART", show_default=False)] = ()  # type: ignore[assignment]
+    landmarks: Annotated[str | None, Parameter(metavar="FILE|DIR")] = None
+    percent_of: Annotated[str | None, Parameter(metavar="NAME:NAME")] = None
     mirror: Annotated[str | None, Parameter(allow_leading_hyphen=True, metavar="X|X,Y:X,Y")] = None
     fit: Annotated[
         list[Literal["pixels", "stretch", "inside", "crop", "pad", "keep"]],
@@ -213,7 +228,16 @@ class StrokeOptions:
     @property
     def count(self) -> int:
         """The number of strokes given, and of freezes that are not before all; without those of the recipe."""
-        return sum(size > 0 for size in self.parts(current().arguments))
+        return sum(size > 0 for size in self.parts(self._arguments))
+
+    @cached_property
+    def _arguments(self) -> tuple[str, ...]:
+        return current().arguments  # which threads of several pictures do not know
+
+    @property
+    def relative(self) -> bool:
+        """Whether the strokes of `to_recipe` are others in each picture: at landmarks, or of lengths in percent."""
+        return getattr(self, "_relative", False)
 
     @property
     def any(self) -> bool:
@@ -274,8 +298,30 @@ class StrokeOptions:
         given = {name: value for name, value in given.items() if value is not None}
         return replace(known or Straighten(), **given) if given else known
 
-    def to_recipe(
+    def to_recipe(self, *, medium: "Callable[[Recipe], Medium] | None" = None, **how: Any) -> "Recipe":
+        """Read the recipe file, if one is given, and add the strokes, as they are in a picture.
+
+        ``medium`` returns that, from strokes with as many numbers; without it, landmarks are anywhere, and 100% is any
+        length: if there are such (``relative``), the recipe says only how many strokes there are. More is passed on to
+        `strokes_in`.
+        """
+        from supple.files.places import Places
+
+        places = Places(None, self.landmarks, self.percent_of)
+        recipe = self.strokes_in(places, **how)
+        self._relative = places.used
+        for option, value in {"--landmarks": self.landmarks, "--percent-of": self.percent_of}.items():
+            if value is not None and not places.used:
+                raise SuppleError(
+                    f"{option} is for landmarks and percentages of strokes, and there are none: leave it out"
+                )
+        if not places.used or medium is None:
+            return recipe
+        return self.strokes_in(Places(medium(recipe), self.landmarks, self.percent_of), **how)
+
+    def strokes_in(
         self,
+        places: "Places",
         *,
         world: bool = False,
         empty: bool = False,
@@ -286,7 +332,7 @@ class StrokeOptions:
         frames: Frames | None = None,
         window: bool = False,
     ) -> "Recipe":
-        """Read the recipe file, if one is given, and add the strokes.
+        """Return the recipe, in which landmarks and percentages are those of ``places``.
 
         With ``world``, strokes are in millimetres. With ``empty``, there is something to do without strokes; ``others``
         are the options that would do, too. ``place`` returns the convention of the volume that the strokes are for, as
@@ -297,7 +343,7 @@ class StrokeOptions:
         """
         from supple.strokes import Recipe
 
-        found = self._mirrored(self._strokes(world, place, convention, ordered, frames))
+        found = self._mirrored(self._strokes(places, world, place, convention, ordered, frames), places)
         strokes = [one.stroke for one in found]
         space = next((one.space for one in found if one.space is not None), None)
         if not strokes and self.recipe is None and not (empty or self.straightens):
@@ -309,7 +355,14 @@ class StrokeOptions:
         else:
             from supple.files.recipes import read_recipe
 
-            made = read_recipe(self.recipe, frames=None if frames is None else frames.read)
+            made = read_recipe(self.recipe, frames=None if frames is None else frames.read, resolve=places.resolve)
+            if places.used and places.medium is not None and made.size is not None:
+                grid = places.medium.grid
+                if grid is None or made.size != grid.sizes:  # by which all would be scaled
+                    raise SuppleError(
+                        f"{self.recipe} was made for another size than {places.medium.name}, for which landmarks and "
+                        "percentages beside it are: leave it out, or them"
+                    )
             if strokes and made.is_world and not world and space is None:
                 option = next(option for option, values in self.given.items() if values)
                 raise SuppleError(
@@ -348,7 +401,7 @@ class StrokeOptions:
 
         strokes, place, mask = [*recipe.strokes], 0, recipe.freeze
         sizes, self._freezes = iter(getattr(self, "_sizes", ())), list[int]()
-        for option, text in in_order(current().arguments, self.given):
+        for option, text in in_order(self._arguments, self.given):
             if option in BRUSHES:
                 place = max(place, own + len(strokes) - len(recipe.strokes)) + next(sizes)
             elif option == "--recipe":
@@ -375,6 +428,7 @@ class StrokeOptions:
 
     def _strokes(
         self,
+        places: "Places",
         world: bool,
         place: Place,
         convention: str | None,
@@ -390,13 +444,15 @@ class StrokeOptions:
                 option = f"--{loose[0].replace('_', '-')}"
                 raise SuppleError(f"{option} is for strokes given beside it: {_ONE_OF}, or leave it out")
             return []
-        ordered = in_order(current().arguments, {**self.given, **(others or {})})
+        ordered = in_order(self._arguments, {**self.given, **(others or {})})
         found = [one for one in ordered if one[0] in BRUSHES]
         asked = iter([convention] * len(self.pull) if others is None else _conventions(ordered))
         if not self.radius:
             raise SuppleError(f"{found[0][0]} needs a --radius: how far it is felt, in pixels or millimetres")
         count = len(found)
-        radii = _spread("--radius", self.radius, count, "a number of pixels or millimetres above 0")
+        wanted = "a number of pixels or millimetres above 0, or a percentage"
+        lengths = [repr(places.length("--radius", text, wanted)) for text in self.radius]
+        radii = _spread("--radius", lengths, count, wanted)
         ratios: list[float | None] = [None] * count
         if self.poisson:
             ratios = [*_spread("--poisson", self.poisson, count, "a number up to 0.5, or -inf")]
@@ -419,10 +475,11 @@ class StrokeOptions:
         for i, (option, text) in enumerate(found):
             brush = {"radius": radii[i], "poisson": ratios[i], "reach": reaches[i], "time_radius": times[i]}
             if option == "--pull":
-                stroke, space = _pull(text, next(asked), place, world, brush)
+                stroke, space = _pull(text, next(asked), place, world, brush, places)
             else:
                 scale, flat = (next(scales), next(flats)) if option == "--grab" else (1, 0.0)
-                stroke, space = _stroke(option, text, frames, scales=scale, flat=flat, **brush), None
+                stroke = _stroke(option, text, frames, places, scales=scale, flat=flat, **brush)
+                space = None
             if made and made[0].stroke.ndim != stroke.ndim:
                 first = f"{made[0].told} of {made[0].stroke.ndim}"
                 raise SuppleError(
@@ -439,13 +496,14 @@ class StrokeOptions:
             )
         return made
 
-    def _mirrored(self, found: "list[_Given]") -> "list[_Given]":
+    def _mirrored(self, found: "list[_Given]", places: "Places") -> "list[_Given]":
         """Return strokes with their mirror images."""
         self._sizes = [1] * len(found)
         if self.mirror is None:
             return found
         wanted = "X, a column of pixels, or X,Y:X,Y, two points of a line (256 or 250,0:262,511, say)"
-        ends = [[parse_number("--mirror", x, wanted) for x in end.split(",")] for end in self.mirror.split(":")]
+        plain = places.plain("--mirror", self.mirror)
+        ends = [[parse_number("--mirror", x, wanted) for x in end.split(",")] for end in plain.split(":")]
         x, y, a, b = (
             (*ends[0], 0.0, *ends[0], 1.0) if [*map(len, ends)] == [1] else (*chain(*ends), *[math.nan] * 4)[:4]
         )
@@ -514,7 +572,7 @@ def _conventions(found: Sequence[tuple[str, str]]) -> list[str | None]:
 
 
 def _pull(
-    text: str, convention: str | None, place: Place, world: bool, brush: dict[str, float | None]
+    text: str, convention: str | None, place: Place, world: bool, brush: dict[str, float | None], places: "Places"
 ) -> "tuple[Stroke, CoordinateSpace | None]":
     """Read a pull from two files, named with a colon between them."""
     from supple.files.landmarks import read_pull
@@ -525,20 +583,30 @@ def _pull(
     if not both or not all(both[-1]):
         raise SuppleError(f"--pull must be FROM:TO, two files of points (before.csv:after.csv, say), found {text!r}")
     try:
+        if (stroke := places.pull(*both[-1], brush)) is not None:
+            return stroke, None
         return read_pull(*both[-1], convention=convention, place=place(), world=world, **brush)  # type: ignore[arg-type]
     except SuppleError as error:
         raise SuppleError(f"--pull {text}: {error}") from None
 
 
 def _stroke(
-    option: str, text: str, frames: Frames | None, *, scales: float, flat: float, **brush: float | None
+    option: str,
+    text: str,
+    frames: Frames | None,
+    places: "Places",
+    *,
+    scales: float,
+    flat: float,
+    **brush: float | None,
 ) -> "Stroke":
     """Read a stroke from the command line."""
     from supple.strokes import Stroke
 
     wrong = SuppleError(f"{option} must be {_WANTED[option]}, found {text!r}")
     try:
-        plain = text if frames is None else frames.plain(option, text)
+        plain = places.plain(option, text)
+        plain = plain if frames is None else frames.plain(option, plain)
         at, *rest = [[float(x) for x in part.split(",")] for part in plain.split(":")]
         if frames is not None and frames.first is not None and len(at) == 3:
             for point in (at, *rest) if option == "--grab" else (at,):

@@ -61,13 +61,15 @@ def plot(
     if (convention := maps.coordinates) is not None and not strokes.pull:
         raise SuppleError("--convention of points is of tables of --pull, and there are none: leave it out")
     typed = video.frames(source)
-    recipe = strokes.to_recipe(
-        empty=maps.any, others="--field FILE, --affine FILE or ", convention=convention, frames=typed
-    )
-    elements = maps.to_maps(console.arguments, recipe, strokes)
     from supple.cli.warp import picture_facts
     from supple.files.jobs import Job
     from supple.files.plots import plot_file
+
+    recipe = strokes.to_recipe(
+        medium=lambda recipe: Job(source, "", recipe).medium, empty=maps.any,
+        others="--field FILE, --affine FILE or ", convention=convention, frames=typed,
+    )  # fmt: skip
+    elements = maps.to_maps(console.arguments, recipe, strokes)
 
     with counting(typed.first):
         deformation = plot_file(

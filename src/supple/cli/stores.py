@@ -205,13 +205,14 @@ def plan(
     console = current()
     console.started(quiet=quiet, threads=threads, file=source)
     grid = output.to_grid()
+    reading = volume.to_reading(labels=labels)
     recipe = strokes.to_recipe(
+        medium=lambda recipe: Job(source, source, recipe, volume=reading).medium,
         world=volume.world, empty=maps.any or maps.dangling or grid is not None, others=OTHERS,
         place=lambda: volume.place_of(source), ordered=maps.conventions,
     )  # fmt: skip
     elements = maps.to_maps(console.arguments, recipe, strokes, output)
     known, outside = sampling.to_sampling(bool(elements) or output.reference is not None)
-    reading = volume.to_reading(labels=labels)
     job = Job(source, source, recipe, known, outside, volume=reading, fit=strokes.to_fit(), grid=grid)
     job = refer(console, job, elements)
     with counted(console.terminal, "blocks") as tell:

@@ -48,6 +48,8 @@ def view(
     points
         Landmarks to show: CSV, or 3D Slicer's .fcsv and .mrk.json.
     """
+    from supple.files.jobs import Job
+    from supple.strokes import Recipe
     from supple.viewer.window.launch import ViewOptions, show
     from supple.viewer.window.launch import serve as serve_it
 
@@ -56,15 +58,12 @@ def view(
     convention = maps.coordinates
     typed = time.frames(source)
     given: dict[str, Any] = {"world": volume.world, "place": lambda: volume.place_of(source), "convention": convention}
-    given |= {"frames": typed, "window": True}
+    reading = volume.to_reading(labels=labels)
+    given |= {"frames": typed, "window": True, "medium": lambda recipe: Job(source, "", recipe, volume=reading).medium}
     recipe = strokes.to_recipe(**given) if strokes.any else None
     if volume.world and recipe is None:
         raise SuppleError("--world is about the points of strokes, and there are none: leave it out")
     elements = maps.to_maps(current().arguments, recipe, strokes)
-    reading = volume.to_reading(labels=labels)
-    from supple.files.jobs import Job
-    from supple.strokes import Recipe
-
     placed = elements.placed(current(), Job(source, "", Recipe(), volume=reading)).maps
     scale = time.time_scale or (recipe and recipe.time_scale) or 1.0
     options = ViewOptions(

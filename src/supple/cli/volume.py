@@ -256,15 +256,17 @@ def render(
     convention = maps.coordinates
     given: dict[str, Any] = {"world": volume.world, "place": lambda: volume.place_of(source), "convention": convention}
     strokes.refuse_alone()
-    recipe, fit = strokes.to_recipe(**given) if strokes.any else None, strokes.to_fit()
+    reading = volume.to_reading()
+    medium = Medium(source, "volume", reading.layout, reading.series)
+    recipe = strokes.to_recipe(medium=lambda recipe: medium, **given) if strokes.any else None
+    fit = strokes.to_fit()
     elements = maps.to_maps(console.arguments, recipe, strokes)
     with spelling(naming(rate="--rate")):
-        render, reading = look.to_render(Camera(**vars(camera)), convention), volume.to_reading()
+        render = look.to_render(Camera(**vars(camera)), convention)
     if convention is not None and not (strokes.pull or look.mesh):
         raise SuppleError("--convention is of tables of --pull and of meshes, and there are none: leave it out")
     if reading.world and recipe is None:
         raise SuppleError("--world is about the points of strokes, and there are none: leave it out")
-    medium = Medium(source, "volume", reading.layout, reading.series)
     placed = elements.on(console, medium.outline.grid, medium.name) if elements else ()
     with spelling(naming(rate="--rate")), counted(console.terminal) as tell, workers() as who:
         scene = render_file(
@@ -332,7 +334,10 @@ def points(
     if options.json and target == STREAM:
         raise SuppleError("--json writes to standard output, and so does -: leave one out")
     convention = maps.coordinates
+    from supple.files.jobs import Job
+
     recipe = strokes.to_recipe(
+        medium=lambda recipe: Job(on, "", recipe, volume=volume.to_reading()).medium,
         world=volume.world, empty=maps.any, others="--field FILE, --affine FILE or ",
         place=lambda: volume.place_of(on), convention=convention, frames=video.frames(on),
     )  # fmt: skip

@@ -5,7 +5,9 @@ import math
 import os
 import re
 from collections.abc import Callable, Collection
+from copy import copy
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -49,6 +51,7 @@ if TYPE_CHECKING:
     from supple.deformation import Deformation, Report
     from supple.files.jobs import Warped
     from supple.files.stores import WarpedStore
+    from supple.media.medium import Medium
     from supple.strokes import Recipe
 
 Warper = Literal["auto", "cpu", "cuda"]
@@ -152,10 +155,20 @@ def warp(
         raise SuppleError("give a file to read and a name to write to: supple warp IN OUT --grab …")
     console.started(**options.asked(), file=paths[0] if len(paths) == 2 else "")
     grid, typed = output.to_grid(), video.frames(paths[0])
-    recipe = strokes.to_recipe(
-        world=volume.world, empty=maps.any or maps.dangling or grid is not None, others=OTHERS,
-        place=lambda: volume.place_of(paths[0]), ordered=maps.conventions, frames=typed,
-    )  # fmt: skip
+    reading = volume.to_reading(labels=labels, save_field=save_field)
+    given: dict[str, Any] = {
+        "world": volume.world, "empty": maps.any or maps.dangling or grid is not None, "others": OTHERS,
+        "place": lambda: volume.place_of(paths[0]), "ordered": maps.conventions, "frames": typed,
+    }  # fmt: skip
+    alone = len(paths) == 2 and paths[0] != STREAM and not os.path.isdir(paths[0]) and not glob.has_magic(paths[0])
+
+    def medium_of(pair: tuple[Any, Any], recipe: "Recipe") -> "Medium":
+        return Job(*pair, recipe, volume=reading).medium
+
+    recipe = strokes.to_recipe(medium=partial(medium_of, (paths[0], paths[-1])) if alone else None, **given)
+    for option, value in {"--track": tracks.track, "--save-recipe": save_recipe}.items():
+        if value is not None and strokes.relative and not alone:
+            raise SuppleError(f"{option} is for one file where strokes are at landmarks or in percent: leave one out")
     if strokes.mirror is not None and tracks.track is not None:
         raise SuppleError("--mirror is of strokes that stay, and --track moves them: leave one out")
     recipe = tracks.followed(recipe, strokes.count, paths, video.to_clip().memory, typed)
@@ -168,7 +181,6 @@ def warp(
             f"--tolerance {written} is not reached everywhere: source points are float32, and exact to about "
             f"{FINEST:g} pixels"
         )
-    reading = volume.to_reading(labels=labels, save_field=save_field)
     shot = replace(
         video.to_clip(), hold=hold, first_frame=typed.first,
         frame=None if frame is None else typed.read("--frame", frame),
@@ -211,6 +223,12 @@ def warp(
     else:
         pairs, many, left = pair(paths[:-1], paths[-1], recursive=recursive)
     check_several(many, options.force, recursive=recursive, skip_existing=skip_existing, jobs=jobs)
+    marks = strokes.landmarks
+    if many and marks is not None and os.path.isfile(marks) and not marks.lower().endswith(".xml"):
+        raise SuppleError(
+            f"--landmarks {marks} is of one picture, and there are several: give a folder with a file for each, or a "
+            "pattern ('marks/*.pts')"
+        )
     there = [target for _, target in pairs if skip_existing and target.exists()]
     pairs = [both for both in pairs if both[1] not in there]
     if save_recipe is not None:
@@ -223,12 +241,15 @@ def warp(
         with about(files[pair]):
             with workers() as who, piped(pair, console) as (source, target):
                 job = replace(template, source=source, target=target)
+                if strokes.relative and not alone:
+                    own = copy(strokes).to_recipe(medium=partial(medium_of, (source, target)), **given)
+                    job = replace(job, recipe=own)
                 if elements:
                     job.check()  # what is refused is not told of before
                     job = elements.placed(console, job)
                 used = {"maps": elements.facts(job.medium.grid)} if elements and options.json else {}
                 made = job.warp(tell)
-            kept.add(_kept(recipe, made, reading.world))
+            kept.add(_kept(job.recipe, made, reading.world))
             if options.json:
                 known = {"input": "-"} if str(pair[0]) == STREAM else {}
                 console.tell({**_facts_of(pair, made), **used, **known, "device": str(who)})

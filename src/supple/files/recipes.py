@@ -6,6 +6,7 @@ import os
 import re
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 from supple.errors import JSON, SuppleError, shown, spelling
 from supple.files.options import PathLike
@@ -24,11 +25,16 @@ def is_media_name(path: PathLike) -> bool:
     return not os.fspath(path).endswith(("/", os.sep)) and suffix_of(path) in _MEDIA
 
 
-def read_recipe(path: PathLike, *, frames: Callable[[str, str], int] | None = None) -> Recipe:
+def read_recipe(
+    path: PathLike,
+    *,
+    frames: Callable[[str, str], int] | None = None,
+    resolve: Callable[[dict[str, Any]], None] | None = None,
+) -> Recipe:
     """Read a recipe from a JSON file; SuppleError, with the file and the fault, if it is none.
 
     ``frames`` returns the frame, counted from 0, of a timecode, which may stand for a number; its first argument names
-    the file in messages.
+    the file in messages. ``resolve`` is as in `Recipe.from_json`.
     """
     name = shown(path)
     try:
@@ -43,7 +49,7 @@ def read_recipe(path: PathLike, *, frames: Callable[[str, str], int] | None = No
         if frames is not None:
             text = _TIMECODE.sub(lambda code: code[0] if code[1] else str(frames(name, code[2])), text)
         with spelling(JSON):
-            return Recipe.from_json(text)
+            return Recipe.from_json(text, resolve=resolve)
     except SuppleError as error:
         raise SuppleError(f"{name}: {error}") from None
 

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, fields, replace
-from typing import Literal, Self, get_args
+from typing import Any, Literal, Self, get_args
 
 from supple.errors import ScaleWarning, SuppleError, argument
 from supple.space.checks import LONGEST_AXIS, choice, integer, items, length, number, refuse
@@ -200,7 +200,7 @@ class Recipe:
         return written({name: getattr(self, name) for name in order}, self.strokes)
 
     @classmethod
-    def from_json(cls, text: str) -> Self:
+    def from_json(cls, text: str, *, resolve: Callable[[dict[str, Any]], None] | None = None) -> Self:
         """Read a recipe written by `to_json` or by hand.
 
         Parameters
@@ -210,13 +210,15 @@ class Recipe:
             ``by`` (or ``to``), have defaults. A recipe of version 1 has no ``reach``, and the border is ``"sine"``.
             Twists of version 2 move points along chords (``chord``), and in clips its strokes are as long in time as in
             space, and move both (``isotropic``).
+        resolve : function of dict, optional
+            Puts numbers in place of what else stands in the JSON object, as `supple.files.places.Places.resolve` does.
 
         Raises
         ------
         SuppleError
             If it is not a recipe; the message names the fault.
         """
-        return cls(**read(text, [field.name for field in fields(cls)]))
+        return cls(**read(text, [field.name for field in fields(cls)], resolve))
 
 
 def fit_recipe(recipe: Recipe, size: Sequence[int], how: Fit | None, name: str, *, time: bool = False) -> Recipe:

@@ -473,6 +473,11 @@ class Stroke:
         """True if it is another one in each frame of a clip: it has keys, or a matte that moves."""
         return bool(self.keys) or (self.ndim == 2 and self.matte is not None and self.matte.ndim == 3)
 
+    @property
+    def is_whole(self) -> bool:
+        """True if it is one thing, and its points are not for hands: what was painted, or adjusts a face."""
+        return self.name is not None and (self.name in PAINTINGS or self.name.startswith("face "))
+
     def mapped(self, place: Callable[[Place], Place], turn: Callable[[Place], Place]) -> Self:
         """Return the stroke with all its points sent through one function, its drags and its axis through another."""
         return replace(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import fields
 from typing import Any, NoReturn, get_args
 
@@ -48,11 +48,13 @@ def written(members: Mapping[str, object], strokes: Iterable[Stroke]) -> str:
     return "{\n" + ",\n".join(lines) + "\n}\n"
 
 
-def read(text: str, names: Sequence[str]) -> dict[str, Any]:
+def read(text: str, names: Sequence[str], resolve: Callable[[dict[str, Any]], None] | None = None) -> dict[str, Any]:
     """Return the fields of a recipe from its text, by their names; `Recipe` checks all but the strokes."""
     data = _parse(text)
     if not isinstance(data, dict):
         refuse("a recipe", "a JSON object", data)
+    if resolve is not None:
+        resolve(data)
     if "supple" not in data:
         raise SuppleError(f'the key "supple", a recipe\'s version ({VERSION}), is missing in {value_shown(data)}')
     version = integer('"supple"', data.pop("supple"), "1, 2 or 3 (the versions that this release reads)", 1, VERSION)

@@ -21,7 +21,7 @@ from supple.space.domain import Border, Domain
 from supple.space.freezing import Freeze
 from supple.space.geometry import Geometry
 from supple.space.straighten import Straighten
-from supple.strokes import PAINTINGS, CoordinateSpace, FoldPolicy, Recipe, Stroke, last_freeze, spoken
+from supple.strokes import CoordinateSpace, FoldPolicy, Recipe, Stroke, last_freeze, spoken
 from supple.viewer.document.keyframes import animated, edited
 
 Kind = Literal["image", "video", "volume"]
@@ -317,13 +317,16 @@ class Document:
         return [
             (i, track)
             for i, track in pairs
-            if track.stroke.brush != "freeze" and track.stroke.name not in PAINTINGS and (i == chosen or not lone)
+            if track.stroke.brush != "freeze" and not track.stroke.is_whole and (i == chosen or not lone)
         ]
+
+    def below(self, i: int) -> Deformation:
+        """Return the deformation before a stroke, which is not hidden."""
+        return self._now.chain[self._nth(i) or 0]
 
     def beneath(self, i: int, point: tuple[float, ...]) -> tuple[float, ...]:
         """Return where the material that is seen at a point was before a stroke, which is not hidden."""
-        known = self._nth(i)
-        before = self._now.chain[known or 0]
+        before = self.below(i)
         return tuple(before.forward(self.deformation.inverse(point).points).tolist())
 
     def seen(self, i: int) -> Stroke:

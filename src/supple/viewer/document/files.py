@@ -25,6 +25,7 @@ from supple.files import Job
 from supple.files.clips import is_picture_target
 from supple.files.freezing import read_freeze, write_freeze
 from supple.files.options import ClipOptions, PathLike
+from supple.files.places import Places
 from supple.files.recipes import read_recipe, write_recipe
 from supple.files.tracking import track
 from supple.media.files import check_output, locked, replacing, same_file
@@ -479,7 +480,8 @@ class FileCommands:
 
         Unsaved strokes cause a question first, unless ``sure``.
         """
-        recipe = read_recipe(path)
+        source = None if self.source is None else Job(self.source, "", Recipe()).medium
+        recipe = read_recipe(path, resolve=Places(source).resolve if source else None)
         if self.document.dirty and not sure:
             self.document.fitted(recipe)
             self.asked = Question("over", "Open it?", _OVER, ("Open it", "Cancel"), opens=path)

@@ -39,7 +39,7 @@ def named(stroke: Stroke) -> str:
         return "Pucker" if stroke.factor < 1 else "Bloat"
     if stroke.brush == "freeze" and stroke.matte is not None and stroke.matte.is_free:
         return "Thaw everything"
-    if stroke.name in PAINTINGS:
+    if stroke.is_whole and stroke.name is not None:
         return stroke.name.capitalize()
     return "Path" if stroke.path else stroke.brush.capitalize()
 
@@ -48,6 +48,8 @@ def listed(stroke: Stroke) -> str:
     """Return a stroke in a line of a list."""
     if stroke.brush == "freeze":
         return _held(stroke)
+    if stroke.is_whole and stroke.name not in PAINTINGS:
+        return named(stroke)
     said = f"{named(stroke)} {place(stroke.at)}"
     if stroke.angle is not None:
         said += f" {stroke.angle:.3g}\u00b0"

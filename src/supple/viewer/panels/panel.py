@@ -18,7 +18,7 @@ from supple.viewer.document.background import Export
 from supple.viewer.document.files import LOSSY, Question
 from supple.viewer.document.settings import keep
 from supple.viewer.document.words import step
-from supple.viewer.panels import straightening, strokes, theme, volume
+from supple.viewer.panels import faces, straightening, strokes, theme, volume
 from supple.viewer.panels.actions import ACTIONS
 from supple.viewer.panels.overlay import certified
 from supple.viewer.panels.stages import ImageStage
@@ -70,6 +70,7 @@ def panel(view: View) -> None:
     strokes.strokes(view)
     volume.draw(view)
     _seeing(view)
+    faces.draw(view)
     straightening.draw(view)
     strokes.folds(view)
     _accuracy(view)

@@ -384,7 +384,7 @@ def _amount(view: View) -> None:
         _begin(view, None)
     if changed and document.dragging:
         view.attempt(lambda: document.preview_amount(min(max(value / 100, LEAST), MOST)))
-    _end(view)
+    end_drag(view)
 
 
 def _begin(view: View, i: int | None) -> None:
@@ -402,10 +402,11 @@ def _live(view: View, i: int, stroke: Stroke, now: Stroke, made: dict[str, Any])
         _begin(view, i)
     if made and document.dragging:
         view.attempt(lambda: document.preview_as(edited(stroke, now, replace(now, **made), document.frame)))
-    _end(view)
+    end_drag(view)
 
 
-def _end(view: View) -> None:
+def end_drag(view: View) -> None:
+    """End the drag of a slider that is not held any more, as one step."""
     document = view.document
     if document.dragging and not (view.tools.dragging or imgui.is_any_item_active()):
         trouble = document.trouble

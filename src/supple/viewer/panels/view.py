@@ -20,6 +20,7 @@ from supple.gpu.memory import wait
 from supple.gpu.plate import Sight
 from supple.gpu.screen import ALL, PLAIN, Part, Screen, canvas_texture, composed
 from supple.media import image
+from supple.media.faces import Face
 from supple.render.camera import Camera
 from supple.render.labels import LabelColours
 from supple.space.freezing import Freeze
@@ -228,6 +229,9 @@ class View:
         )  # the last brush, and whether the selected stroke's numbers are seen
         self.listed: int | None = None  # the stroke that the list has scrolled to
         self.reached: int | None = None  # and the step of the history
+        self.faces: tuple[Face, ...] | str | None = None  # of the picture, or why there are none
+        self.face = 0  # the one whose sliders are shown
+        self.moved_face: tuple[int | None, Face] | None = None  # its stroke, and its landmarks before that
         known = settings() if self.source is None else keep_recent(self.source)
         self.sections = known.sections  # those that were folded or opened
         self.recent = known.recent[self.source is not None :]  # other files

@@ -15,7 +15,7 @@ from supple.viewer.panels.view import View
 LABEL = 104.0  # logical pixels of the labels before fields
 _RESTING = int(imgui.HoveredFlags_.delay_short | imgui.HoveredFlags_.allow_when_disabled)
 REST = -1e-3  # the width of what takes the rest of a line
-FOLDED = ("Straighten", "Folds and border", "Accuracy", "History")
+FOLDED = ("Face", "Straighten", "Folds and border", "Accuracy", "History")
 """The sections that are folded in the first window."""
 
 

@@ -292,7 +292,7 @@ class Drawing(ABC):
     def _takes(self, i: int) -> bool:
         """Return whether a stroke may have one more point."""
         stroke = self.document.strokes[i]
-        return stroke.brush == "grab" and not (stroke.path or stroke.hidden or stroke.name in PAINTINGS)
+        return stroke.brush == "grab" and not (stroke.path or stroke.hidden or stroke.is_whole)
 
     def _unpin(self, held: Held) -> None:
         assert held.item is not None

@@ -1,0 +1,138 @@
+"""The command that adjusts faces."""
+
+from dataclasses import dataclass
+from functools import partial
+from typing import TYPE_CHECKING, Annotated, Any
+
+from cyclopts import Group, Parameter
+
+from supple.cli.options import RunOptions, parse_number, read
+from supple.cli.options_strokes import StrokeOptions
+from supple.cli.warp import SEVERAL, WRITING, warp
+from supple.errors import SuppleError
+
+if TYPE_CHECKING:
+    from supple.files.places import Places
+    from supple.strokes import Recipe
+
+FACES = Group("Faces", sort_key=1)
+_RUN = RunOptions()
+_WANTED = "percent from -100 to 100"
+
+
+def _percent(option: str, text: str) -> float:
+    percent = parse_number(option, text.strip().removesuffix("%"), _WANTED)
+    if not -100 <= percent <= 100:
+        raise SuppleError(f"{option} must be {_WANTED}, found {text!r}")
+    return percent
+
+
+def _whole(option: str, text: str) -> int:
+    if not (text.isascii() and text.isdecimal() and int(text) > 0):
+        raise SuppleError(f"{option} must be the number of a face, 1 for the largest, found {text!r}")
+    return int(text)
+
+
+_PERCENT = partial(read, _percent, "PERCENT", show_default=False)
+
+
+@Parameter(name="*", group=FACES)
+@dataclass(kw_only=True, eq=False, repr=False)
+class FaceOptions:
+    """How faces are adjusted.
+
+    Parameters
+    ----------
+    slim
+        Make the face slimmer, from the cheeks to the chin: its sides come nearer by so many percent, half from each.
+    eyes
+        Make the eyes larger by so many percent.
+    smile
+        Raise the corners of the mouth, by percent of half its width.
+    nose
+        Make the nose wider by so many percent; below 0, narrower.
+    jaw
+        Make the jaw wider by so many percent, half to each side; below 0, narrower.
+    landmarks
+        Landmarks of the faces: CSV with columns name, x and y, .pts, XML of dlib, JSON of MediaPipe; or a folder that
+        has a file for each picture, with its stem; or a pattern, in which * stands for that. By default, the file
+        beside the picture, or those that are found, if supple[face] is installed.
+    face
+        Which face, 1 for the largest (default: all of them).
+    """
+
+    slim: Annotated[float, _PERCENT()] = 0.0
+    eyes: Annotated[float, _PERCENT()] = 0.0
+    smile: Annotated[float, _PERCENT()] = 0.0
+    nose: Annotated[float, _PERCENT()] = 0.0
+    jaw: Annotated[float, _PERCENT()] = 0.0
+    landmarks: Annotated[str | None, Parameter(metavar="FILE|DIR")] = None
+    face: Annotated[int | None, read(_whole, "N")] = None
+
+
+class _Strokes(StrokeOptions):
+    """The strokes that adjust the faces of each picture."""
+
+    def __init__(self, options: FaceOptions) -> None:
+        super().__init__(landmarks=options.landmarks)
+        self._options = options
+
+    def strokes_in(self, places: "Places", **_: Any) -> "Recipe":
+        from supple.files.faces import ADJUSTMENTS, face_stroke
+        from supple.strokes import Recipe, Stroke
+
+        percents = {name: getattr(self._options, name) for name in ADJUSTMENTS}
+        if not any(percents.values()):
+            raise SuppleError("nothing to do: give --slim, --eyes, --smile, --nose or --jaw, in percent")
+        places.used = True
+        if places.medium is None:
+            return Recipe(strokes=(Stroke.grab((0, 0), by=(1, 1), radius=1),))
+        return Recipe(
+            strokes=tuple(
+                face_stroke(face, place=place, **percents) for place, face in places.chosen(self._options.face)
+            )
+        )
+
+
+_FACES = FaceOptions()
+
+
+def face(
+    *paths: Annotated[str, Parameter(name="IN... OUT", required=True)],
+    faces: FaceOptions = _FACES,
+    quality: Annotated[int | None, Parameter(group=WRITING, metavar="1..100", allow_leading_hyphen=True)] = None,
+    lossless: Annotated[bool, Parameter(group=WRITING)] = False,
+    save_recipe: Annotated[str | None, Parameter(group=WRITING, metavar="FILE")] = None,
+    recursive: Annotated[bool, Parameter(group=SEVERAL)] = False,
+    skip_existing: Annotated[bool, Parameter(group=SEVERAL)] = False,
+    jobs: Annotated[int | None, Parameter(group=SEVERAL, metavar="N", allow_leading_hyphen=True)] = None,
+    options: RunOptions = _RUN,
+) -> None:
+    """Adjust the faces of pictures: slimmer, larger eyes, a smile, a narrower nose.
+
+    Each face is moved by its own landmarks, in one stroke, and sampled once; the background stays. Several files, a
+    folder or a pattern in quotes are written to a folder under the same names.
+
+    Parameters
+    ----------
+    paths
+        Pictures to read, and last the file or folder to write.
+    quality
+        Quality of JPEG (default 95), WebP and AVIF (90), from 1 to 100.
+    lossless
+        Write WebP and AVIF without loss. PNG and TIFF are always lossless.
+    save_recipe
+        Write the strokes of one picture to a recipe (JSON), for supple warp and the window.
+    recursive
+        Also enter the folders within a folder; what is written has the same folders.
+    skip_existing
+        Leave files that are there already as they are, and go on with the others.
+    jobs
+        How many pictures are worked on at the same time (as many as there are processors, and memory for).
+    """
+    if len(paths) < 2:
+        raise SuppleError("give a picture to read and a name to write to: supple face IN OUT --slim 20 …")
+    warp(
+        *paths, strokes=_Strokes(faces), quality=quality, lossless=lossless, save_recipe=save_recipe,
+        recursive=recursive, skip_existing=skip_existing, jobs=jobs, options=options,
+    )  # fmt: skip

@@ -1,0 +1,192 @@
+"""Positions and lengths by what a picture shows: landmarks by name, and percent of a length of its own."""
+
+from __future__ import annotations
+
+import math
+import os
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+from supple.errors import SuppleError, argument, listing, shown
+from supple.media.files import PathLike, is_store
+from supple.strokes import Stroke
+
+if TYPE_CHECKING:
+    from supple.media.faces import Face
+    from supple.media.medium import Medium
+
+_POINT = re.compile(r"\s*([^\W\d]\w*)(?:@(\d+))?\s*([+-].*)?")
+_NUMBERS = ("inf", "infinity", "nan")
+_OFFSET = "+DX,DY in pixels or percent (nose_tip+0,10%, say)"
+
+
+@dataclass(eq=False)
+class Places:
+    """What names and percentages of strokes stand for in a picture.
+
+    A position is a landmark's name, of the largest face, or ``NAME@2`` of the second largest; with an offset,
+    ``+DX,DY``, if it has one. A percentage is of the shortest side of the picture, or of the distance of two positions.
+
+    Parameters
+    ----------
+    medium : Medium, optional
+        The picture; by default none yet, and positions and lengths are any, all of which differ.
+    landmarks : str or os.PathLike, optional
+        As in `supple.files.faces.faces_of`.
+    percent_of : str, optional
+        The two positions, ``A:B``; those of a recipe otherwise.
+    used : bool
+        Whether anything was asked for: what was made is for this picture alone.
+    """
+
+    medium: Medium | None = None
+    landmarks: PathLike | None = None
+    percent_of: str | None = None
+    used: bool = field(default=False, init=False)
+    _any: dict[str, float] = field(default_factory=dict, init=False)
+
+    @cached_property
+    def faces(self) -> tuple[Face, ...]:
+        """The faces of the picture."""
+        from supple.files.faces import faces_of
+
+        assert self.medium is not None
+        if self.medium.kind != "picture":
+            raise SuppleError(
+                f"landmarks are of pictures, and {self.medium.name} is a {self.medium.kind}: give points in numbers"
+            )
+        return faces_of(self.medium.path, self.landmarks)
+
+    def chosen(self, place: int | None) -> list[tuple[int, Face]]:
+        """Return one face, 1 for the largest, or all of them, with their places."""
+        if place is not None and not 1 <= place <= len(self.faces):
+            assert self.medium is not None
+            many = f"{len(self.faces)} faces" if len(self.faces) > 1 else "one face"
+            raise SuppleError(f"{self.medium.name} has {many}, and no face {place}: give another number")
+        return [(k, face) for k, face in enumerate(self.faces, 1) if place in (None, k)]
+
+    @cached_property
+    def unit(self) -> float:
+        """The length of 100 %."""
+        if self.percent_of is not None:
+            ends = str(self.percent_of).split(":")
+            if len(ends) != 2:
+                raise SuppleError(
+                    f"{argument('percent_of')} must be two landmarks, A:B (left_eye:right_eye, say), found "
+                    f"{self.percent_of!r}"
+                )
+            length = math.dist(*(self.point(argument("percent_of"), end) for end in ends))
+            if not length > 0:
+                raise SuppleError(f"{argument('percent_of')} {self.percent_of} are two landmarks at one place")
+            return length
+        if self.medium is None:
+            return 1000.0
+        if is_store(self.medium.path):
+            raise SuppleError(f"{self.medium.name} is a Zarr store, of which there are no percentages: give a length")
+        if self.medium.kind == "clip":
+            from supple.files.clips import open_clip
+
+            with open_clip(self.medium.path) as clip:
+                return float(min(clip.layout.shape))
+        grid = self.medium.grid
+        assert grid is not None
+        return min(n * step for n, step in zip(grid.sizes, grid.spacing, strict=True))
+
+    def length(self, name: str, text: str, wanted: str) -> float:
+        """Return a length from text: a number, or a percentage, ``12%``; ``name`` is that of the option, for errors."""
+        bare, percent = text.strip().removesuffix("%"), text.strip().endswith("%")
+        try:
+            number = float(bare)
+        except ValueError:
+            raise SuppleError(f"{name} must be {wanted}, found {text!r}") from None
+        self.used |= percent
+        return number * self.unit / 100 if percent else number
+
+    def point(self, name: str, text: str) -> tuple[float, float]:
+        """Return a position from text: that of a landmark, with an offset if it has one."""
+        found = _POINT.fullmatch(text)
+        offset = (found[3] or "0,0").split(",") if found else []
+        if found is None or len(offset) != 2:
+            raise SuppleError(f"{name} must be a landmark, with or without {_OFFSET}, found {text!r}")
+        from supple.media.faces import plain
+
+        self.used = True
+        mark = plain(found[1])
+        if self.medium is None:
+            x = self._any.setdefault(f"{mark}@{found[2]}", 100.0 * (len(self._any) + 1))
+            at = (x, x * x / 1000)  # of which no three are on one line
+        else:
+            ((_, face),) = self.chosen(int(found[2] or 1))
+            if mark not in face:
+                known = [each for each in face if not each.startswith("point_")] or list(face)
+                raise SuppleError(
+                    f"{self.medium.name} has no landmark {shown(mark)}, which {name} asks for; it has "
+                    f"{listing(known, 8)}"
+                )
+            at = face[mark]
+        dx, dy = (self.length(name, part, f"a landmark and {_OFFSET}") for part in offset)
+        return at[0] + dx, at[1] + dy
+
+    def plain(self, name: str, text: str) -> str:
+        """Return the text of an option, with numbers in place of landmarks, and of a last length in percent."""
+        ends = text.split(":")
+        count = len(ends) if name in ("--grab", "--mirror") else len(ends) - 1 if name == "--push" else 1
+
+        def parts() -> Iterator[str]:
+            for k, part in enumerate(ends):
+                if k < count and _POINT.fullmatch(part) and part.strip().lower() not in _NUMBERS:
+                    yield ",".join(map(repr, self.point(name, part)))
+                elif k >= count and name == "--push" and part.strip().endswith("%"):
+                    yield repr(self.length(name, part, "a length in percent"))
+                else:
+                    yield part
+
+        return ":".join(parts())
+
+    def resolve(self, recipe: dict[str, Any]) -> None:
+        """Put numbers in place of landmarks and percentages in the JSON of a recipe."""
+        own = recipe.pop("percent_of", None)
+        places = Places(self.medium, self.landmarks, self.percent_of or own)  # as its percentages are
+        strokes = recipe.get("strokes")
+        for k, stroke in enumerate(strokes if isinstance(strokes, list) else ()):
+            for key in {"at", "to", "by", "path", "also", "radius"} & {*stroke} if isinstance(stroke, dict) else ():
+                stroke[key] = places._resolved(f"strokes[{k}]: {key}", key, stroke[key])
+        if places.used and recipe.get("size") is not None:
+            raise SuppleError('a recipe of landmarks or percentages is for pictures of any size: leave "size" out')
+        self.used |= places.used
+
+    def _resolved(self, name: str, key: str, value: Any) -> Any:
+        """Return the value of a key with numbers; what is no text, or no list of some, is checked later."""
+        inner = {"path": ("at",), "by": ("radius",), "also": ("pair",), "pair": ("at", "by")}.get(key)
+        if inner and isinstance(value, list) and (len(inner) == 1 or len(value) == len(inner)):
+            return [self._resolved(name, inner[k % len(inner)], each) for k, each in enumerate(value)]
+        if inner or not isinstance(value, str) or (key == "radius" and not value.endswith("%")):
+            return value
+        return self.length(name, value, "a number, or a percentage") if key == "radius" else [*self.point(name, value)]
+
+    def pull(self, source: str, target: str, brush: dict[str, Any]) -> Stroke | None:
+        """Return the pull of a picture's landmarks to others, matched by names; None if both are files of points."""
+        names = [source, target]
+        if not any(os.path.isdir(name) or "*" in name or _is_of_landmarks(name) for name in names):
+            return None
+        self.used = True
+        if self.medium is None:
+            return Stroke.pull([(0, 0)], by=[(1, 1)], **brush)
+        from supple.files.faces import faces_of
+
+        start, end = (faces_of(self.medium.path, name)[0] for name in names)
+        shared = [name for name in start if name in end]
+        pairs = {start[name]: end[name] for name in shared}  # a point of several names is one
+        if not pairs:
+            raise SuppleError(
+                f"they have no landmark in common: {listing(list(start), 3)}, and {listing(list(end), 3)}"
+            )
+        return Stroke.pull(list(pairs), to=list(pairs.values()), **brush)
+
+
+def _is_of_landmarks(name: str) -> bool:
+    lower = name.lower()
+    return lower.endswith((".pts", ".xml")) or (lower.endswith(".json") and not lower.endswith(".mrk.json"))

@@ -1,0 +1,85 @@
+"""Faces of a picture: a section of the panel, whose sliders are one stroke of each face."""
+
+from __future__ import annotations
+
+from functools import partial
+
+import numpy as np
+from imgui_bundle import imgui
+
+from supple.deformation import Deformation
+from supple.errors import SuppleError
+from supple.files.faces import adjusted, can_find, face_stroke, faces_of, landmarks_file
+from supple.media.faces import Face
+from supple.viewer.panels.strokes import end_drag
+from supple.viewer.panels.view import View
+from supple.viewer.panels.widgets import REST, label, section, slider, wrapped
+
+_MOST = 50.0  # percent
+_SLIDERS = {
+    "slim": ("Slim", "Bring the sides of the face nearer together, from the cheeks to the chin"),
+    "eyes": ("Eyes", "Make the eyes larger"),
+    "smile": ("Smile", "Raise the corners of the mouth"),
+    "nose": ("Nose", "Make the nose wider; below 0, narrower"),
+    "jaw": ("Jaw", "Make the jaw wider; below 0, narrower"),
+}
+
+
+def draw(view: View) -> None:
+    """Draw the section."""
+    source = view.commands.source
+    if view.stage.kind != "image" or source is None or not section(view, "Face"):
+        return
+    if view.faces is None and (
+        landmarks_file(source) is not None or not can_find() or imgui.button("Find faces", (REST, 0))
+    ):
+        try:
+            view.faces = faces_of(source)
+        except SuppleError as error:
+            view.faces = str(error)
+    if isinstance(view.faces, str):
+        wrapped(view.faces)
+    elif view.faces is not None:
+        _sliders(view, view.faces)
+
+
+def _sliders(view: View, faces: tuple[Face, ...]) -> None:
+    document = view.document
+    if len(faces) > 1:
+        label("Face", "The largest is the first")
+        changed, index = imgui.combo("##face", view.face, [str(k + 1) for k in range(len(faces))])
+        if changed:
+            view.face = index
+    known = [adjusted(stroke) for stroke in document.strokes]
+    i = next((k for k, each in enumerate(known) if each is not None and each[0] == view.face + 1), None)
+    percents = {} if i is None else dict((known[i] or (0, {}))[1])
+    moved = False
+    for name, (said, tip) in _SLIDERS.items():
+        label(said, tip)
+        changed, percent = slider(f"##{name}", percents.get(name, 0.0), -_MOST, _MOST, "%.0f %%")
+        if changed:
+            percents[name] = float(round(min(max(percent, -100.0), 100.0)))
+            moved = True
+    if moved and not document.dragging:
+        before = document.deformation if i is None else document.below(i)
+        view.moved_face = i, _seen(faces[view.face], before)
+        view.attempt(partial(document.begin_drag, i))
+    if moved and document.dragging and view.moved_face is not None:
+        place, face = view.moved_face
+        try:
+            stroke = face_stroke(face, place=view.face + 1, **percents)
+        except SuppleError as error:
+            view.commands.message = str(error)
+        else:
+            view.attempt(
+                partial(document.preview, stroke, select=False)
+                if place is None
+                else partial(document.preview_as, stroke)
+            )
+    end_drag(view)
+
+
+def _seen(face: Face, before: Deformation) -> Face:
+    """Return landmarks of the picture after the strokes that are there."""
+    points = before.forward(np.array([*face.values()]))
+    return {name: (float(x), float(y)) for name, (x, y) in zip(face, points, strict=True)}
