@@ -44,7 +44,7 @@ class FaceOptions:
     Parameters
     ----------
     slim
-        Make the face slimmer, from the cheeks to the chin: its sides come nearer by so many percent, half from each.
+        Make the face slimmer, from the cheeks to the chin: at 100, by half of its width.
     eyes
         Make the eyes larger by so many percent.
     smile
@@ -52,7 +52,7 @@ class FaceOptions:
     nose
         Make the nose wider by so many percent; below 0, narrower.
     jaw
-        Make the jaw wider by so many percent, half to each side; below 0, narrower.
+        Make the jaw wider: at 100, by half of its width; below 0, narrower.
     landmarks
         Landmarks of the faces: CSV with columns name, x and y, .pts, XML of dlib, JSON of MediaPipe; or a folder that
         has a file for each picture, with its stem; or a pattern, in which * stands for that. By default, the file

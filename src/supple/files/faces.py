@@ -141,8 +141,8 @@ def face_stroke(face: Face, *, place: int = 1, **percents: float) -> Stroke:
     place : int
         Which face of the picture it is, for the stroke's name.
     slim, jaw : float
-        By how many percent the two sides of the face come nearer together, from the cheeks down to the chin; and by how
-        many the jaw gets wider. Half of it from each side.
+        At 100, the face becomes slimmer by half of its width, from the cheeks to the chin; and the jaw wider by half of
+        its.
     eyes, nose : float
         By how many percent the eyes get larger; the nose wider.
     smile : float
