@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
 from supple import _core
+from supple.arrays import warp_array
 from supple.deformation import Deformation
+from supple.engine.sampling import Sampling
 from supple.engine.work import Array
 from supple.errors import SuppleError
 from supple.gpu.solid import Lattice
@@ -304,10 +306,27 @@ def prepared(given: Array) -> Array:
     return widened(ready)
 
 
-def warped(samples: Array, deformation: Deformation, labelled: bool, tolerance: float) -> Array:
-    """Return prepared samples or colours, moved by a deformation: linear between voxels, and the nearest label."""
-    part = samples[tuple(map(slice, deformation.shape))]
-    return widened(deformation.warp(part, filter="nearest" if labelled else "linear", tolerance=tolerance))
+def thinned(samples: Array, coarse: int) -> Array:
+    """Return every so many voxels of samples (Z, H, W[, C]) along each axis, and at the end one at least as far."""
+    if coarse == 1:
+        return samples
+    places = (np.minimum(np.arange(-(-(n - 1) // coarse) + 1) * coarse, n - 1) for n in samples.shape[:3])
+    return samples[np.ix_(*places)]
+
+
+def warped(samples: Array, deformation: Deformation, labelled: bool, tolerance: float, coarse: int = 1) -> Array:
+    """Return prepared samples or colours, moved by a deformation: linear between voxels, and the nearest label.
+
+    They are those of every voxel, or `thinned`.
+    """
+    chosen = Sampling(filter="nearest" if labelled else "linear", tolerance=tolerance)
+    if coarse == 1:
+        return widened(deformation.warp(samples[tuple(map(slice, deformation.shape))], sampling=chosen))
+    space = deformation.space
+    axes = space.axes.copy()
+    axes[:, 3] *= coarse  # from sample to sample; faces and strokes are in physical units
+    part = replace(space, axes=axes, count=len(samples), shape=samples.shape[1:3])
+    return np.asarray(warp_array(samples, part, chosen)[0])
 
 
 def widened(samples: Array) -> Array:
