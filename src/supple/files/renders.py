@@ -23,7 +23,7 @@ from supple.media import image, turntable
 from supple.media.files import PathLike, check_output, check_outputs, check_suffix, replacing, replacing_all
 from supple.media.numbering import has_number, spelling
 from supple.media.volume import Volume
-from supple.render.appearance import cropped, fixed, largest
+from supple.render.appearance import cropped, fixed, is_hounsfield, largest, without_table
 from supple.render.box import Clip, Plane
 from supple.render.camera import Camera
 from supple.render.labels import LabelColours, labels_in
@@ -64,6 +64,8 @@ class RenderOptions:
         Meshes and contours that are rendered with the volume, and move with it.
     convention : str, optional
         The coordinates of those that do not say theirs, as in `supple.files.meshes.read_surfaces`.
+    table : bool
+        Whether a preset of CT shows what lies apart from the body, too: `supple.render.appearance.without_table`.
     largest : bool
         Whether only the largest connected part of what is visible is rendered (`supple.render.appearance.largest`).
     camera : Camera
@@ -102,6 +104,7 @@ class RenderOptions:
     plane: Plane | None = None
     meshes: Sequence[MeshFile] = ()
     convention: str | None = None
+    table: bool = False
     largest: bool = False
     projection: str = "none"
     silhouettes: float = 0.0
@@ -172,7 +175,7 @@ def default_transfer(volume: Volume) -> Transfer | str:
         return "mr-head"
     slope, intercept = volume.scaling
     low, high = sorted(slope * float(v) + intercept for v in (known.min(), known.max()))
-    return "ct-skin" if low <= -800 and high >= 200 else "mr-head"
+    return "ct-skin" if is_hounsfield(low, high) else "mr-head"
 
 
 def _is_of_labels(volume: Volume) -> bool:
@@ -230,6 +233,14 @@ def scene_of(
     if isinstance(transfer, LabelColours):
         _check_labels(samples, transfer, volume.name)
     meshes = read_surfaces(known.meshes, volume, known.convention)
+    if isinstance(given, str) and given in HOUNSFIELD and not (known.table or known.largest) and samples.ndim == 3:
+        samples, apart = without_table(samples)
+        if apart > 0:
+            text = (
+                f"{100 * apart:.2g} % of what is as dense as skin in {volume.name} lies apart from the body, as a table"
+            )
+            text = f"{text} or a head holder does, and is left out: {argument('table')} shows it"
+            warnings.warn(text, VolumeWarning, stacklevel=3)
     if known.crop is not None or known.largest:
         transfer = fixed(samples, transfer)
     if known.crop is not None:

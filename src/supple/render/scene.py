@@ -24,6 +24,7 @@ from supple.render.appearance import (
     PROJECTIONS,
     Seen,
     lamp,
+    levelled,
     ranged,
     sampled,
     seen_through,
@@ -282,6 +283,7 @@ class Scene:
             made._sample(known, density)
             made._deform(self.deformation, None)
         else:
+            known = levelled(known, self._original, self.range)
             made._look_by(seen_through(known, density, self.range, self.step, self.projection))
             made._skip()
         return made
