@@ -162,6 +162,8 @@ class LookOptions:
         Render without shading.
     annotate
         Draw a scale bar, for what is as far away as the target, and letters for the patient's sides.
+    legend
+        List the names of labels with their colours: those of a segmentation of 3D Slicer, or of a colour table.
     background
         Background colour (default: transparent; black in formats and videos without opacity).
     smooth
@@ -196,6 +198,7 @@ class LookOptions:
     mode: Annotated[str, Parameter(metavar="buffered|exact|hybrid")] = "buffered"
     unshaded: bool = False
     annotate: bool = False
+    legend: bool = False
     background: Annotated[Any, read(_colour, "#RRGGBB")] = None
     smooth: Annotated[int, Parameter(metavar="N", allow_leading_hyphen=True)] = 1
     turntable: Annotated[int | None, Parameter(metavar="N", allow_leading_hyphen=True)] = None
@@ -261,7 +264,7 @@ def render(
     strokes.refuse_alone()
     recipe, fit = strokes.to_recipe(**given) if strokes.any else None, strokes.to_fit()
     elements = maps.to_maps(console.arguments, recipe, strokes)
-    with spelling(naming(rate="--rate", table="--table")):
+    with spelling(naming(rate="--rate", table="--table", legend="--legend")):
         render, reading = look.to_render(Camera(**vars(camera)), convention), volume.to_reading()
     if convention is not None and not (strokes.pull or look.mesh):
         raise SuppleError("--convention is of tables of --pull and of meshes, and there are none: leave it out")
@@ -269,7 +272,11 @@ def render(
         raise SuppleError("--world is about the points of strokes, and there are none: leave it out")
     medium = Medium(source, "volume", reading.layout, reading.series)
     placed = elements.on(console, medium.outline.grid, medium.name) if elements else ()
-    with spelling(naming(rate="--rate", table="--table")), counted(console.terminal) as tell, workers() as who:
+    with (
+        spelling(naming(rate="--rate", table="--table", legend="--legend")),
+        counted(console.terminal) as tell,
+        workers() as who,
+    ):
         scene = render_file(
             source, target, recipe, options=render, volume=reading, force=options.force, tell=tell, fit=fit, maps=placed
         )

@@ -79,6 +79,8 @@ class RenderOptions:
     shaded : bool
     annotate : bool
         Whether a scale bar and the letters of the patient's sides are drawn: `supple.render.annotate.annotated`.
+    legend : bool
+        Whether the names of labels are listed with their colours, at the upper left.
     background : (float, float, float), optional
         sRGB from 0 to 1; by default, images are transparent where they are empty, and videos black.
     supersampling : int
@@ -115,6 +117,7 @@ class RenderOptions:
     mode: str = "buffered"
     shaded: bool = True
     annotate: bool = False
+    legend: bool = False
     background: tuple[float, float, float] | None = None
     supersampling: int = 1
     turntable: int | None = None
@@ -151,7 +154,7 @@ class RenderOptions:
             if self.turntable is None:
                 raise SuppleError("rate is that of a turntable's video, and this is one picture: leave it out")
         if self.what == "inversions":
-            for name in ("meshes", "shadows", "silhouettes", "turntable", "annotate", "background"):
+            for name in ("meshes", "shadows", "silhouettes", "turntable", "annotate", "legend", "background"):
                 if getattr(self, name):
                     raise SuppleError(f"inversions are drawn as one plot, of the volume alone: leave {name} out")
 
@@ -360,14 +363,21 @@ def render_file(
         low, high = scene.range
         text = f"{told}, and the values of {given.name} go from {low:g} to {high:g}: mr-head is of any units"
         warnings.warn(text, VolumeWarning, stacklevel=2)
+    if known.legend and scene.labels is None:
+        text = f"{argument('legend')} lists the labels of a segmentation, and {given.name} is rendered by its values"
+        raise SuppleError(f"{text}: leave it out, or choose transfer labels")
     camera = scene.framed(known.camera, known.size)
 
     def marked(pixels: npt.NDArray[np.uint8], seen: Camera) -> npt.NDArray[np.uint8]:
-        if not known.annotate:
+        if not known.annotate and not known.legend:
             return pixels
-        from supple.render.annotate import annotated
+        from supple.render.annotate import annotated, entries_of
 
-        return annotated(pixels, scene.view(seen, known.size), scene.geometry)
+        entries = []
+        if known.legend and isinstance(scene.transfer, LabelColours) and scene.labels is not None:
+            entries = entries_of(scene.transfer, scene.labels)
+        view = scene.view(seen, known.size)
+        return annotated(pixels, view, scene.geometry, legend=entries, marks=known.annotate)
 
     def pictures(opaque: bool) -> Iterator[Array]:
         behind = known.background or ((0.0, 0.0, 0.0) if opaque else None)
@@ -419,7 +429,7 @@ def _warn_of_view(picture: Rendering, known: RenderOptions, name: str) -> None:
 
 def _check_target(target: PathLike, suffix: str, known: RenderOptions, force: bool) -> None:
     name, many = shown(target), known.turntable is not None
-    if known.annotate:
+    if known.annotate or known.legend:
         from supple.render.annotate import check_annotated
 
         check_annotated(known.size)
