@@ -91,6 +91,18 @@ def test_a_projection_is_the_slow_one(projection: str, mode: str) -> None:
     assert np.quantile(np.abs(picture.depth[hit] - where[hit]), 0.95) < 1e-3 + (mode == "exact")
 
 
+def test_a_maximum_has_no_box_of_air() -> None:
+    volume = np.maximum(ball((13, 14, 11), 9), 0.03 * np.random.default_rng(1).random(SHAPE).astype(np.float32))
+    volume[0, 0, 0], volume[0, 0, 1] = 0, 1  # the window, whatever the noise
+    scene = Scene(volume, OBLIQUE, projection="maximum")
+    seen = scene.render(CAMERA, (90, 90)).light
+    flat = Scene(volume, OBLIQUE, projection="average").render(CAMERA, (90, 90)).light[..., 3] > 0
+    assert flat.mean() > 0.3
+    assert (seen[flat][:, 3] == 0).mean() > 0.3  # the air of the box
+    assert (seen[..., 3] == 1).sum() > 200
+    assert (seen[..., :3].max(axis=-1) <= seen[..., 3] + 1e-6).all()  # premultiplied
+
+
 def test_a_projection_is_picked_where_its_value_is() -> None:
     volume = cloud() * np.float32(0.1)
     volume[12, 14, 15] = 1

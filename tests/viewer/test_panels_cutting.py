@@ -138,7 +138,6 @@ def test_strokes_modes_and_colours_keep_the_box(window: tuple[Any, Hand], places
     view.document.set_freeze(Freeze.of(half))
     frozen = stage.deform(view.document.deformation)
     assert frozen.clip == box
-    assert frozen.gpu is not None
     stage.cut(None)
     assert stage.deform(view.document.deformation).clip == stage._plain.clip != box
     view.document.mark_saved()

@@ -264,12 +264,16 @@ def test_coarse_pixels_lie_where_fine_ones_do(gpu: Gpu, coarse: int, monkeypatch
         assert np.median(edge) <= 1, np.median(edge)
 
 
-def test_a_compared_step_of_a_volume_is_solved_once(gpu: Gpu, volume: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("software", [True, False])
+def test_a_compared_step_of_a_volume_is_solved_once(
+    gpu: Gpu, volume: Path, monkeypatch: pytest.MonkeyPatch, software: bool
+) -> None:
     from supple.render.scene import Scene
 
     solved: list[Any] = []
     deformed = Scene.deformed
     monkeypatch.setattr(Scene, "deformed", lambda scene, made: solved.append(made) or deformed(scene, made))
+    monkeypatch.setattr(gpu, "software", software)
     one, two = (Stroke.grab((22, 40, z), by=(2, -3, 2), radius=40) for z in (22, 30))
     view, hand = opened(volume, Recipe(border=None, strokes=(one,)), size=(700, 480))
 

@@ -51,10 +51,14 @@ struct Voxels {
         return mix(u, y[0], y[1]);
     }
 
-    // The gradient by central differences, per voxel, of voxels and trilinear in between; and the sample, last.
+    // The gradient of a cubic B-spline, per voxel, whose coefficients are the voxels: light shows no steps between
+    // slices that are far apart, as it does by differences of two voxels.
     INLINE Float4 slopes(Float4 p) const {
-        Int4 inside = (p >= 1.0f) & (p < floats(last));
-        return inside[0] & inside[1] & inside[2] ? inner_slopes(p) : outer_slopes(p);
+        p = least(most(p, Float4{}), floats(last + 1));
+        const Int4 cell = least(whole(p), last), inside = (cell >= 1) & (cell < last);
+        if (!(inside[0] & inside[1] & inside[2])) return outer_slopes(cell, p - floats(cell));
+        const T* first = at(cell) - row - layer - 1;
+        return turned(p - floats(cell), [&](int j, int k) { return load<float, 4>(first + k * layer + j * row); });
     }
 
 protected:
@@ -69,37 +73,43 @@ private:
         memcpy(both + 2, a + row, 2 * sizeof(T));
         return load<float, 4>(both);
     }
-    // At `part` between the second and the third, half of the difference of each one's neighbours. Differences come
-    // before weights, so that the result is exactly 0 if all voxels are equal.
+    // The weights of four voxels at a part of the way from the second to the third, and those of their three
+    // differences. Differences come before weights, so that a slope is exactly 0 if all voxels are equal.
+    INLINE static Float4 weights(float t) {
+        const float s = 1 - t;
+        return Float4{s * s * s, 4 - 6 * t * t + 3 * t * t * t, 4 - 6 * s * s + 3 * s * s * s, t * t * t} / 6.0f;
+    }
     template <class V>
-    INLINE static V change(float part, V a, V b, V c, V d) {
-        return 0.5f * mix(part, V(c - a), V(d - b));
+    INLINE static V change(float t, V a, V b, V c, V d) {
+        return (0.5f * (1 - t) * (1 - t)) * (b - a) + (0.5f + t - t * t) * (c - b) + (0.5f * t * t) * (d - c);
     }
 
-    // Away from the faces: twelve rows of four voxels.
-    INLINE Float4 inner_slopes(Float4 p) const {
-        Int4 cell = whole(p);
-        Float4 part = p - floats(cell), side[4], down[2];
-        float u = part[0], v = part[1], w = part[2];
-        const T* a = at(cell) - row - layer - 1;
-        for (int k = 0; k < 4; k++, a += layer) {
-            Float4 y1 = load<float, 4>(a + row), y2 = load<float, 4>(a + 2 * row);
-            side[k] = mix(v, y1, y2);
-            if (k == 1 || k == 2) down[k - 1] = change(v, load<float, 4>(a), y1, y2, load<float, 4>(a + 3 * row));
+    // The gradient at a part of the way through a cell; `row_at` has four voxels of each of sixteen rows.
+    template <class Row>
+    INLINE static Float4 turned(Float4 part, Row&& row_at) {
+        const float u = part[0], v = part[1], w = part[2];
+        const Float4 across = weights(u), down = weights(v), deep = weights(w);
+        Float4 x{}, y{}, side[4];
+        for (int k = 0; k < 4; k++) {
+            const Float4 a = row_at(0, k), b = row_at(1, k), c = row_at(2, k), d = row_at(3, k);
+            side[k] = down[0] * a + down[1] * b + down[2] * c + down[3] * d;
+            x += deep[k] * side[k];
+            y += deep[k] * change(v, a, b, c, d);
         }
-        Float4 x = mix(w, side[1], side[2]), y = mix(w, down[0], down[1]),
-               z = change(w, side[0], side[1], side[2], side[3]);
-        return Float4{change(u, x[0], x[1], x[2], x[3]), mix(u, y[1], y[2]), mix(u, z[1], z[2]), mix(u, x[1], x[2])};
+        y *= across;
+        const Float4 z = across * change(w, side[0], side[1], side[2], side[3]);
+        return Float4{change(u, x[0], x[1], x[2], x[3]), y[0] + y[1] + y[2] + y[3], z[0] + z[1] + z[2] + z[3], 0};
     }
 
-    NOINLINE Float4 outer_slopes(Float4 p) const {
-        Float4 g{0, 0, 0, sample(p)};
-        for (int i = 0; i < 3; i++) {
-            Float4 e{};
-            e[i] = 1;
-            g[i] = 0.5f * (sample(p + e) - sample(p - e));
-        }
-        return g;
+    // Beside the faces, beyond which the outermost voxels go on.
+    NOINLINE Float4 outer_slopes(Int4 cell, Float4 part) const {
+        auto near = [&](int axis, int k) { return most(least(cell[axis] + k - 1, last[axis] + 1), 0); };
+        return turned(part, [&](int j, int k) {
+            const T* a = at(0, near(1, j), near(2, k));
+            Float4 made;
+            for (int i = 0; i < 4; i++) made[i] = float(a[near(0, i)]);
+            return made;
+        });
     }
 };
 

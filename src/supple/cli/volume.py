@@ -139,8 +139,10 @@ class LookOptions:
     mesh
         Draw a mesh or contours with the volume, moved by its deformation: STL, OBJ, PLY, VTK PolyData (.vtk, .vtp), or
         a structure set of DICOM (.dcm); in a colour, if one follows: --mesh skull.stl:#ffcc00. Repeatable.
+    table
+        With a preset of CT, show what lies apart from the body, too: a table, a head holder, cables.
     largest
-        Of what is visible, show only the largest part that is connected: without the head holder of a CT, or specks.
+        Of what is visible, show only the largest part that is connected: without specks.
     projection
         Instead of surfaces, the maximum, minimum or average value along each ray, in grey: black at the lower end of
         --density and white at the upper one (default: the smallest and the largest value).
@@ -160,6 +162,8 @@ class LookOptions:
         Render without shading.
     annotate
         Draw a scale bar, for what is as far away as the target, and letters for the patient's sides.
+    legend
+        List the names of labels with their colours: those of a segmentation of 3D Slicer, or of a colour table.
     background
         Background colour (default: transparent; black in formats and videos without opacity).
     smooth
@@ -184,6 +188,7 @@ class LookOptions:
     crop: Annotated[Any, read(_box, "X0:X1,Y0:Y1,Z0:Z1")] = None
     plane: Annotated[Any, read(_plane, "X,Y,Z:DX,DY,DZ")] = None
     mesh: Annotated[list[str], Parameter(metavar="FILE[:#RRGGBB]", show_default=False)] = ()  # type: ignore[assignment]
+    table: bool = False
     largest: bool = False
     projection: Literal["none", "maximum", "minimum", "average"] = "none"
     silhouettes: Annotated[float, number("a number from 0 to 1", "S")] = 0
@@ -193,6 +198,7 @@ class LookOptions:
     mode: Annotated[str, Parameter(metavar="buffered|exact|hybrid")] = "buffered"
     unshaded: bool = False
     annotate: bool = False
+    legend: bool = False
     background: Annotated[Any, read(_colour, "#RRGGBB")] = None
     smooth: Annotated[int, Parameter(metavar="N", allow_leading_hyphen=True)] = 1
     turntable: Annotated[int | None, Parameter(metavar="N", allow_leading_hyphen=True)] = None
@@ -261,14 +267,18 @@ def render(
     recipe = strokes.to_recipe(medium=lambda recipe: medium, **given) if strokes.any else None
     fit = strokes.to_fit()
     elements = maps.to_maps(console.arguments, recipe, strokes)
-    with spelling(naming(rate="--rate")):
+    with spelling(naming(rate="--rate", table="--table", legend="--legend")):
         render = look.to_render(Camera(**vars(camera)), convention)
     if convention is not None and not (strokes.pull or look.mesh):
         raise SuppleError("--convention is of tables of --pull and of meshes, and there are none: leave it out")
     if reading.world and recipe is None:
         raise SuppleError("--world is about the points of strokes, and there are none: leave it out")
     placed = elements.on(console, medium.outline.grid, medium.name) if elements else ()
-    with spelling(naming(rate="--rate")), counted(console.terminal) as tell, workers() as who:
+    with (
+        spelling(naming(rate="--rate", table="--table", legend="--legend")),
+        counted(console.terminal) as tell,
+        workers() as who,
+    ):
         scene = render_file(
             source, target, recipe, options=render, volume=reading, force=options.force, tell=tell, fit=fit, maps=placed
         )

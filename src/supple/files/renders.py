@@ -23,7 +23,7 @@ from supple.media import image, turntable
 from supple.media.files import PathLike, check_output, check_outputs, check_suffix, replacing, replacing_all
 from supple.media.numbering import has_number, spelling
 from supple.media.volume import Volume
-from supple.render.appearance import cropped, fixed, largest
+from supple.render.appearance import cropped, fixed, is_hounsfield, largest, without_table
 from supple.render.box import Clip, Plane
 from supple.render.camera import Camera
 from supple.render.labels import LabelColours, labels_in
@@ -64,6 +64,8 @@ class RenderOptions:
         Meshes and contours that are rendered with the volume, and move with it.
     convention : str, optional
         The coordinates of those that do not say theirs, as in `supple.files.meshes.read_surfaces`.
+    table : bool
+        Whether a preset of CT shows what lies apart from the body, too: `supple.render.appearance.without_table`.
     largest : bool
         Whether only the largest connected part of what is visible is rendered (`supple.render.appearance.largest`).
     camera : Camera
@@ -77,6 +79,8 @@ class RenderOptions:
     shaded : bool
     annotate : bool
         Whether a scale bar and the letters of the patient's sides are drawn: `supple.render.annotate.annotated`.
+    legend : bool
+        Whether the names of labels are listed with their colours, at the upper left.
     background : (float, float, float), optional
         sRGB from 0 to 1; by default, images are transparent where they are empty, and videos black.
     supersampling : int
@@ -102,6 +106,7 @@ class RenderOptions:
     plane: Plane | None = None
     meshes: Sequence[MeshFile] = ()
     convention: str | None = None
+    table: bool = False
     largest: bool = False
     projection: str = "none"
     silhouettes: float = 0.0
@@ -112,6 +117,7 @@ class RenderOptions:
     mode: str = "buffered"
     shaded: bool = True
     annotate: bool = False
+    legend: bool = False
     background: tuple[float, float, float] | None = None
     supersampling: int = 1
     turntable: int | None = None
@@ -148,7 +154,7 @@ class RenderOptions:
             if self.turntable is None:
                 raise SuppleError("rate is that of a turntable's video, and this is one picture: leave it out")
         if self.what == "inversions":
-            for name in ("meshes", "shadows", "silhouettes", "turntable", "annotate", "background"):
+            for name in ("meshes", "shadows", "silhouettes", "turntable", "annotate", "legend", "background"):
                 if getattr(self, name):
                     raise SuppleError(f"inversions are drawn as one plot, of the volume alone: leave {name} out")
 
@@ -172,7 +178,7 @@ def default_transfer(volume: Volume) -> Transfer | str:
         return "mr-head"
     slope, intercept = volume.scaling
     low, high = sorted(slope * float(v) + intercept for v in (known.min(), known.max()))
-    return "ct-skin" if low <= -800 and high >= 200 else "mr-head"
+    return "ct-skin" if is_hounsfield(low, high) else "mr-head"
 
 
 def _is_of_labels(volume: Volume) -> bool:
@@ -230,6 +236,14 @@ def scene_of(
     if isinstance(transfer, LabelColours):
         _check_labels(samples, transfer, volume.name)
     meshes = read_surfaces(known.meshes, volume, known.convention)
+    if isinstance(given, str) and given in HOUNSFIELD and not (known.table or known.largest) and samples.ndim == 3:
+        samples, apart = without_table(samples)
+        if apart > 0:
+            text = (
+                f"{100 * apart:.2g} % of what is as dense as skin in {volume.name} lies apart from the body, as a table"
+            )
+            text = f"{text} or a head holder does, and is left out: {argument('table')} shows it"
+            warnings.warn(text, VolumeWarning, stacklevel=3)
     if known.crop is not None or known.largest:
         transfer = fixed(samples, transfer)
     if known.crop is not None:
@@ -349,14 +363,21 @@ def render_file(
         low, high = scene.range
         text = f"{told}, and the values of {given.name} go from {low:g} to {high:g}: mr-head is of any units"
         warnings.warn(text, VolumeWarning, stacklevel=2)
+    if known.legend and scene.labels is None:
+        text = f"{argument('legend')} lists the labels of a segmentation, and {given.name} is rendered by its values"
+        raise SuppleError(f"{text}: leave it out, or choose transfer labels")
     camera = scene.framed(known.camera, known.size)
 
     def marked(pixels: npt.NDArray[np.uint8], seen: Camera) -> npt.NDArray[np.uint8]:
-        if not known.annotate:
+        if not known.annotate and not known.legend:
             return pixels
-        from supple.render.annotate import annotated
+        from supple.render.annotate import annotated, entries_of
 
-        return annotated(pixels, scene.view(seen, known.size), scene.geometry)
+        entries = []
+        if known.legend and isinstance(scene.transfer, LabelColours) and scene.labels is not None:
+            entries = entries_of(scene.transfer, scene.labels)
+        view = scene.view(seen, known.size)
+        return annotated(pixels, view, scene.geometry, legend=entries, marks=known.annotate)
 
     def pictures(opaque: bool) -> Iterator[Array]:
         behind = known.background or ((0.0, 0.0, 0.0) if opaque else None)
@@ -408,7 +429,7 @@ def _warn_of_view(picture: Rendering, known: RenderOptions, name: str) -> None:
 
 def _check_target(target: PathLike, suffix: str, known: RenderOptions, force: bool) -> None:
     name, many = shown(target), known.turntable is not None
-    if known.annotate:
+    if known.annotate or known.legend:
         from supple.render.annotate import check_annotated
 
         check_annotated(known.size)

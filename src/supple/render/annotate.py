@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -9,6 +10,7 @@ import numpy.typing as npt
 
 from supple.errors import SuppleError, argument, need
 from supple.render.camera import Projection, bar_of, sides_of
+from supple.render.labels import LabelColours
 from supple.space.checks import refuse
 from supple.space.geometry import Geometry
 
@@ -28,7 +30,25 @@ def check_annotated(size: tuple[int, int]) -> None:
         raise SuppleError(f"{text} {size[1]}x{size[0]}: give a larger size, or leave it out")
 
 
-def annotated(pixels: npt.NDArray[np.uint8], view: Projection, geometry: Geometry) -> npt.NDArray[np.uint8]:
+Entry = tuple[str, tuple[float, float, float]]
+"""A name, and its colour as sRGB from 0 to 1."""
+
+
+def entries_of(colours: LabelColours, labels: npt.ArrayLike) -> list[Entry]:
+    """Return the names and colours of labels that are not quite transparent, for a legend."""
+    known = np.asarray(labels)
+    rows = zip(known.tolist(), colours.of(known).tolist(), strict=True)
+    return [(colours.name(k), (r, g, b)) for k, (r, g, b, opacity) in rows if opacity > 0]
+
+
+def annotated(
+    pixels: npt.NDArray[np.uint8],
+    view: Projection,
+    geometry: Geometry,
+    *,
+    legend: Sequence[Entry] = (),
+    marks: bool = True,
+) -> npt.NDArray[np.uint8]:
     """Return a picture of a volume with a scale bar, and letters for the patient's sides.
 
     The bar, at the lower left, measures what is as far from the eye as the camera's target: in perspective, what is
@@ -43,6 +63,10 @@ def annotated(pixels: npt.NDArray[np.uint8], view: Projection, geometry: Geometr
         Of the picture: ``scene.view(camera, size)``.
     geometry : Geometry
         The volume's.
+    legend : sequence of (str, (float, float, float))
+        Names and colours to list at the upper left, as many as there is room for; then how many more there are.
+    marks : bool
+        Whether the bar and the letters are drawn.
 
     Returns
     -------
@@ -59,7 +83,7 @@ def annotated(pixels: npt.NDArray[np.uint8], view: Projection, geometry: Geometr
         wanted = f"uint8 of shape ({view.size[0]}, {view.size[1]}, 3 or 4), as the view's size"
         refuse("pixels", wanted, told=f"{given.dtype} of shape {given.shape}")
     check_annotated(view.size)
-    drawn = _drawn(view, geometry)
+    drawn = _drawn(view, geometry, legend, marks)
     made = given.copy()
     at = drawn[..., 3] > 0
     over, under = drawn[at] / 255.0, made[at] / 255.0
@@ -74,11 +98,12 @@ def annotated(pixels: npt.NDArray[np.uint8], view: Projection, geometry: Geometr
     return made
 
 
-def _drawn(view: Projection, geometry: Geometry) -> npt.NDArray[np.uint8]:
+def _drawn(view: Projection, geometry: Geometry, legend: Sequence[Entry], marks: bool) -> npt.NDArray[np.uint8]:
     """Return the marks alone, (H, W, 4): white with dark outlines, to be seen on anything."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
     from matplotlib.lines import Line2D
+    from matplotlib.patches import Rectangle
     from matplotlib.patheffects import withStroke
     from matplotlib.transforms import IdentityTransform
 
@@ -93,8 +118,23 @@ def _drawn(view: Projection, geometry: Geometry) -> npt.NDArray[np.uint8]:
         "transform": IdentityTransform(), "color": "white", "parse_math": False, "usetex": False,
         "path_effects": halo,
     }  # fmt: skip
-    left, right, above, below = sides_of(view, geometry)
     middle = width / 2, height / 2
+    smaller, line_high = 0.85 * high, 1.3 * high
+    foot = middle[1] + high if marks else 3 * edge  # above the letter at the left
+    room = max(int((height - edge - foot) / line_high), 1)
+    shown = [*legend] if len(legend) <= room else [*legend[: room - 1], (f"and {len(legend) - room + 1} more", None)]
+    for k, (text, colour) in enumerate(shown):
+        base = height - edge - (k + 1) * line_high
+        if colour is not None:
+            patch = Rectangle(
+                (edge, base), smaller, smaller, facecolor=colour, edgecolor="#101010", transform=IdentityTransform()
+            )
+            made.add_artist(patch)
+        made.text(edge + 1.3 * high, base, text, ha="left", va="baseline", fontsize=smaller, fontfamily=_FONT, **shared)
+    if not marks:
+        canvas.draw()  # type: ignore[no-untyped-call]
+        return np.asarray(canvas.buffer_rgba())  # type: ignore[no-untyped-call]
+    left, right, above, below = sides_of(view, geometry)
     for text, x, y, across, along in (
         (left, edge, middle[1], "left", "center"),
         (right, width - edge, middle[1], "right", "center"),
@@ -109,7 +149,7 @@ def _drawn(view: Projection, geometry: Geometry) -> npt.NDArray[np.uint8]:
         transform=IdentityTransform(), path_effects=outline,
     )  # fmt: skip
     made.add_artist(line)
-    above_bar, smaller = base + thick / 2 + 0.35 * high, 0.85 * high
+    above_bar = base + thick / 2 + 0.35 * high
     made.text(edge, above_bar, bar.label, ha="left", va="baseline", fontsize=smaller, fontfamily=_FONT, **shared)
     canvas.draw()  # type: ignore[no-untyped-call]
     return np.asarray(canvas.buffer_rgba())  # type: ignore[no-untyped-call]

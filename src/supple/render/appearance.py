@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
 from supple import _core
+from supple.arrays import warp_array
 from supple.deformation import Deformation
+from supple.engine.sampling import Sampling
 from supple.engine.work import Array
 from supple.errors import SuppleError
 from supple.gpu.solid import Lattice
@@ -21,7 +23,11 @@ from supple.render.transfer import ENTRIES, LABELS, PRESETS, Transfer, TransferF
 from supple.space.checks import choice, point, refuse
 from supple.space.geometry import Floats
 
+DARK = 0.06  # of white, and twice that: a maximum is transparent up to one, and opaque from the other on
 FINE = 2  # voxels of a brick of visible voxels, if a lattice displaces them into bricks of `_core.BRICK` voxels
+AIR, SKIN = -1000.0, -450.0  # Hounsfield units
+_PART = 0.2  # of the largest part of a body: a smaller one lies apart
+_LOOKED_AT = 1 << 20  # voxels for a quantile
 MOST = 1e18  # of samples: float32 holds the squares of their gradients
 _TYPES = (np.uint8, np.int8, np.uint16, np.int16, np.float32)
 PROJECTIONS = ("none", "maximum", "minimum", "average")
@@ -87,6 +93,50 @@ def ranged(samples: Array, brick: int, known: dict[int, tuple[Array, Array]]) ->
     return known[brick]
 
 
+def levelled(transfer: TransferFunction, samples: Array, values: tuple[float, float]) -> TransferFunction:
+    """Return the preset ``grey`` in the values of a volume; others as they are.
+
+    Its range ends where one voxel in a thousand is brighter, since metal is by far; and begins at air, where values are
+    Hounsfield units, since they may go on below. ``values`` are the smallest and the largest.
+    """
+    if transfer is not PRESETS["grey"]:
+        return transfer
+    low, high = values
+    some = samples.reshape(-1)[:: max(1, samples.size // _LOOKED_AT)]
+    top = float(np.quantile(some, 1 - 1e-3))
+    return transfer.absolute(AIR if is_hounsfield(low, high) else low, top if top > low else high)
+
+
+def is_hounsfield(low: float, high: float) -> bool:
+    """Return whether values between a smallest and a largest one look like Hounsfield units: air is there, and bone."""
+    return low <= -800 and high >= 200
+
+
+def without_table(samples: Array) -> tuple[Array, float]:
+    """Return a CT without what lies apart from the body, such as a table or a head holder, and how much that was.
+
+    All that is as dense as skin, in parts of voxels that touch by their faces, belongs to a body if it is a fifth of
+    the largest part or more, as a leg beside another is. Other parts become air; how much they were is a fraction of
+    it all.
+
+    Parameters
+    ----------
+    samples : array (Z, H, W)
+        Hounsfield units.
+    """
+    left = samples >= SKIN
+    count, most = int(np.count_nonzero(left)), 0
+    part = np.empty(left.shape, np.bool_)
+    while True:
+        _core.largest_part(left, part)
+        found = int(np.count_nonzero(part))
+        most = max(most, found)
+        if found < max(_PART * most, 1):
+            break
+        left &= ~part
+    return np.where(left, np.asarray(AIR, samples.dtype), samples), int(np.count_nonzero(left)) / max(count, 1)
+
+
 def transfer_function(given: Transfer | str) -> Transfer:
     """Return a transfer function, or the preset of a name."""
     if isinstance(given, Transfer):
@@ -118,7 +168,8 @@ def sampled(
         colours = widened(colours)
     ready = prepared(given)
     values = float(ready.min()), float(ready.max())
-    return ready, colours, seen_through(transfer, density, values, step, projection)
+    known = levelled(transfer, ready, values)
+    return ready, colours, seen_through(known, density, values, step, projection)
 
 
 def window_of(density: tuple[float, float] | None, *, one: bool = False) -> tuple[float, float]:
@@ -140,15 +191,18 @@ def seen_through(
 ) -> Seen:
     """Return how samples of some range look by a transfer function and a window of values.
 
-    Of a projection, they are grey and opaque, from black at the window's lower end to white at its upper one.
+    Of a projection, they are grey and opaque, from black at the window's lower end to white at its upper one; in a
+    maximum, what is nearly black is air around a body, and not seen.
     """
     (low, high), window = values, window_of(density)
     places = np.linspace(low, high, ENTRIES)
     if projection != "none":
         black, white = window if density is not None else values
         shades = np.clip((places - black) / ((white - black) or 1.0), 0.0, 1.0)
-        grey = linear_light(np.stack([shades] * 3, axis=1), 1.0)
-        table = np.concatenate([grey, np.ones((ENTRIES, 1))], axis=1).astype(np.float32)
+        grey, opaque = linear_light(np.stack([shades] * 3, axis=1), 1.0), np.ones((ENTRIES, 1))
+        if projection == "maximum":
+            opaque = np.clip(shades / DARK - 1, 0, 1)[:, None]
+        table = np.concatenate([opaque * grey, opaque], axis=1).astype(np.float32)
         threshold = -math.inf
     else:
         table = transfer.table(low, high, step)
@@ -178,7 +232,9 @@ def fixed(samples: Array, transfer: Transfer) -> Transfer:
     """Return a transfer function in the values of a volume, so that it stays the same where parts are hidden."""
     if not isinstance(transfer, TransferFunction):
         return transfer
-    return transfer.absolute(*sampled(np.asarray(samples), transfer, None, 1.0)[2].range)
+    seen = sampled(np.asarray(samples), transfer, None, 1.0)[2]
+    assert isinstance(seen.transfer, TransferFunction)
+    return seen.transfer.absolute(*seen.range)
 
 
 def largest(samples: Array, transfer: Transfer | str, density: tuple[float, float] | None = None) -> Array:
@@ -304,10 +360,27 @@ def prepared(given: Array) -> Array:
     return widened(ready)
 
 
-def warped(samples: Array, deformation: Deformation, labelled: bool, tolerance: float) -> Array:
-    """Return prepared samples or colours, moved by a deformation: linear between voxels, and the nearest label."""
-    part = samples[tuple(map(slice, deformation.shape))]
-    return widened(deformation.warp(part, filter="nearest" if labelled else "linear", tolerance=tolerance))
+def thinned(samples: Array, coarse: int) -> Array:
+    """Return every so many voxels of samples (Z, H, W[, C]) along each axis, and at the end one at least as far."""
+    if coarse == 1:
+        return samples
+    places = (np.minimum(np.arange(-(-(n - 1) // coarse) + 1) * coarse, n - 1) for n in samples.shape[:3])
+    return samples[np.ix_(*places)]
+
+
+def warped(samples: Array, deformation: Deformation, labelled: bool, tolerance: float, coarse: int = 1) -> Array:
+    """Return prepared samples or colours, moved by a deformation: linear between voxels, and the nearest label.
+
+    They are those of every voxel, or `thinned`.
+    """
+    chosen = Sampling(filter="nearest" if labelled else "linear", tolerance=tolerance)
+    if coarse == 1:
+        return widened(deformation.warp(samples[tuple(map(slice, deformation.shape))], sampling=chosen))
+    space = deformation.space
+    axes = space.axes.copy()
+    axes[:, 3] *= coarse  # from sample to sample; faces and strokes are in physical units
+    part = replace(space, axes=axes, count=len(samples), shape=samples.shape[1:3])
+    return np.asarray(warp_array(samples, part, chosen)[0])
 
 
 def widened(samples: Array) -> Array:

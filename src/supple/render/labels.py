@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -43,9 +43,12 @@ class LabelColours:
     colours : mapping of int to (red, green, blue, opacity), optional
         sRGB from 0 to 1, and the opacity of a millimetre, for each label; others are not seen. By default, all labels
         are opaque, in the colours of `palette`.
+    names : mapping of int to str, optional
+        Names of labels, for a legend and for colour tables.
     """
 
     colours: Mapping[int, Colour] | None = None
+    names: Mapping[int, str] = field(default_factory=dict, compare=False)
 
     def __post_init__(self) -> None:
         given: Any = self.colours
@@ -60,6 +63,10 @@ class LabelColours:
             r, g, b, a = (number(name, v, "numbers from 0 to 1", 0.0, 1.0) for v in (red, green, blue, opacity))
             made[int(label)] = r, g, b, a
         object.__setattr__(self, "colours", made)
+
+    def name(self, label: int) -> str:
+        """Return the name of a label, or ``label-5`` for one without."""
+        return self.names.get(int(label), "") or f"label-{label}"
 
     def of(self, labels: npt.ArrayLike) -> Floats:
         """Return the colours of labels (N,): sRGB and opacity (N, 4)."""
@@ -80,7 +87,10 @@ class LabelColours:
     def to_ctbl(self, labels: npt.ArrayLike) -> str:
         """Return the text of a colour table of 3D Slicer (``.ctbl``) for labels, for `from_text`."""
         rows = np.rint(255 * self.of(labels)).astype(int)
-        lines = [f"{k} label-{k} {r} {g} {b} {a}" for k, r, g, b, a in np.column_stack([labels, rows]).tolist()]
+        lines = [
+            f"{k} {self.name(k).replace(' ', '_')} {r} {g} {b} {a}"
+            for k, r, g, b, a in np.column_stack([labels, rows]).tolist()
+        ]
         return "\n".join(["# label name red green blue opacity", *lines]) + "\n"
 
     @classmethod
@@ -93,16 +103,17 @@ class LabelColours:
             If a line is of none of these; the message begins with ``name``.
         """
         made: dict[int, Colour] = {}
+        names: dict[int, str] = {}
         inverse = True  # as in FreeSurfer's, where 0 is opaque
         for count, line in enumerate(text.splitlines(), 1):
             told = line.strip()
             if not told or told.startswith("#"):
                 continue
             if found := _SNAP.fullmatch(told):
-                label, *rgb, part, visible, _, _ = found.groups()
+                label, *rgb, part, visible, _, title = found.groups()
                 opacity, inverse = float(part) * int(visible), False
             elif found := _SLICER.fullmatch(told):
-                label, _, *rgb, part = found.groups()
+                label, title, *rgb, part = found.groups()
                 opacity = int(part) / 255
             else:
                 raise SuppleError(
@@ -115,12 +126,12 @@ class LabelColours:
                 raise SuppleError(f"{name}, line {count}, is {told[:60]!r}: colours and opacity must not exceed 255")
             if int(label) in made:
                 raise SuppleError(f"{name}, line {count}, gives label {label} another time: leave one of them")
-            made[int(label)] = red, green, blue, opacity
+            made[int(label)], names[int(label)] = (red, green, blue, opacity), title
         if not made:
             raise SuppleError(f"{name} has no colours: it should have lines of a label, its name, and R G B A")
         if inverse and not any(colour[3] for label, colour in made.items() if label):
             made = {label: (*colour[:3], 1.0) for label, colour in made.items()}
-        return cls(made)
+        return cls(made, names)
 
     @classmethod
     def of_segments(cls, header: Mapping[str, str], labels: npt.ArrayLike) -> LabelColours:
@@ -139,6 +150,7 @@ class LabelColours:
             If one of these is not what it should be.
         """
         made = dict(zip(np.asarray(labels).tolist(), map(tuple, cls().of(labels).tolist()), strict=True))
+        names: dict[int, str] = {}
         for k in sorted({int(found[1]) for name in header if (found := _SEGMENT.match(name))}):
             value, colour = (header.get(f"Segment{k}_{name}", "") for name in ("LabelValue", "Color"))
             try:
@@ -148,8 +160,8 @@ class LabelColours:
                 text = f"segment {k} has the label {value!r} and the colour {colour!r}: these should be a whole number"
                 raise SuppleError(f"{text}, and three from 0 to 1") from None
             if label in made:
-                made[label] = red, green, blue, 1.0
-        return cls(made)
+                made[label], names[label] = (red, green, blue, 1.0), header.get(f"Segment{k}_Name", "")
+        return cls(made, names)
 
 
 def palette(labels: npt.ArrayLike) -> Floats:

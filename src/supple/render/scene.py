@@ -24,11 +24,13 @@ from supple.render.appearance import (
     PROJECTIONS,
     Seen,
     lamp,
+    levelled,
     ranged,
     sampled,
     seen_through,
     skipped,
     summed,
+    thinned,
     transfer_function,
     triple,
     warped,
@@ -131,6 +133,8 @@ class Scene:
     """The visible labels, of a label map; ``samples`` are their places, from 1 on, and 0 elsewhere."""
     device: str
     """The requested device."""
+    coarse: int
+    """The voxels from sample to sample of a buffer of the CPU: 1, or more for a preview."""
     gpu: Gpu | None
     """The GPU of the rays; None for the CPU."""
 
@@ -190,6 +194,7 @@ class Scene:
     def _sample(self, transfer: Transfer, density: tuple[float, float] | None) -> None:
         self._original, self._paint, seen = sampled(self._given, transfer, density, self.step, self.projection)
         self._ranges: dict[int, tuple[Array, Array]] = {}
+        self._thin: dict[int, tuple[Array, Array | None]] = {}  # every k-th voxel, and its colours
         self._still: tuple[Seen | None, npt.NDArray[np.uint8]] = None, np.empty(0, np.uint8)  # skips of the original
         self._look_by(seen)
 
@@ -197,7 +202,7 @@ class Scene:
         self._seen, self.transfer, self.density = seen, seen.transfer, seen.density
         self.range, self.labels = seen.range, seen.labels
 
-    def _deform(self, given: Deformation | None, volume: Volume | None) -> None:
+    def _deform(self, given: Deformation | None, volume: Volume | None, coarse: int = 1) -> None:
         """Set what depends on strokes; the volume is already on a GPU, if it is given."""
         spacing, gpu = self.geometry.spacing, gpu_of(self.device)
         deformation = self.deformation = _checked(given, self.shape, spacing)
@@ -210,14 +215,19 @@ class Scene:
             self._held = tried(gpu, lambda: held_scene(*work), 3)
         held = self._held
         self.gpu = held.volume.gpu if held is not None else None
-        self.samples, self.error = self._original, 0.0
+        self.samples, self.error, self.coarse = self._original, 0.0, 1
         self._colours = self._paint  # of samples, and of the original
         if deformation is not None and self.mode != "exact":
             self.error = self.tolerance
             if held is None:
-                self.samples = warped(self._original, deformation, labelled, self.tolerance)
-                if self._paint is not None:
-                    self._colours = warped(self._paint, deformation, labelled, self.tolerance)
+                self.coarse = coarse
+                if coarse not in self._thin:
+                    paint = None if self._paint is None else thinned(self._paint, coarse)
+                    self._thin[coarse] = thinned(self._original, coarse), paint
+                samples, paint = self._thin[coarse]
+                self.samples = warped(samples, deformation, labelled, self.tolerance, coarse)
+                if paint is not None:
+                    self._colours = warped(paint, deformation, labelled, self.tolerance, coarse)
         self._lattice = held.lattice if held is not None and held.lattice.nodes is not None else None
         if held is not None and self._lattice is not None and self.mode == "hybrid":
             self.error = along_rays(self._lattice, held.cells, self.tolerance)
@@ -248,12 +258,22 @@ class Scene:
             samples = self.samples
             if self.deformation is not None and samples is self._original:  # rays look up their sources
                 samples = warped(samples, self.deformation, isinstance(self.transfer, LabelColours), NEAR)
-            self._shade = shade_of(samples, self._seen, self.step, self.clip, self.plane, self.geometry.spacing)
+            box = tuple((low / self.coarse, high / self.coarse) for low, high in self.clip)
+            spacing = tuple(self.coarse * s for s in self.geometry.spacing)
+            self._shade = shade_of(samples, self._seen, self.step, box, self.plane, spacing)
 
-    def deformed(self, deformation: Deformation | None) -> Scene:
-        """Return this scene with other strokes. The volume stays on the GPU."""
+    def deformed(self, deformation: Deformation | None, *, coarse: int = 1) -> Scene:
+        """Return this scene with other strokes. The volume stays on the GPU.
+
+        Parameters
+        ----------
+        deformation : Deformation, optional
+        coarse : int
+            For a preview on the CPU, in a mode with a buffer: only every so many voxels are warped, along each axis.
+        """
+        integer("coarse", coarse, "a number of voxels from 1 to 64", 1, 64)
         made = copy.copy(self)
-        made._deform(deformation, self._held.volume if self._held else None)
+        made._deform(deformation, self._held.volume if self._held else None, coarse)
         return made
 
     def seen_through(self, transfer: Transfer | str, density: tuple[float, float] | None = None) -> Scene:
@@ -263,6 +283,7 @@ class Scene:
             made._sample(known, density)
             made._deform(self.deformation, None)
         else:
+            known = levelled(known, self._original, self.range)
             made._look_by(seen_through(known, density, self.range, self.step, self.projection))
             made._skip()
         return made
@@ -281,7 +302,7 @@ class Scene:
 
     def view(self, camera: Camera | None, size: tuple[int, int]) -> Projection:
         """Return the projection of a camera before this scene, for an image of ``size`` (rows, columns)."""
-        return view_of(camera_of(camera), self.samples.shape, self.geometry, size)
+        return view_of(camera_of(camera), self._original.shape, self.geometry, size)
 
     @property
     def seen_points(self) -> npt.NDArray[np.float64]:
@@ -299,7 +320,7 @@ class Scene:
     def framed(self, camera: Camera | None = None, size: tuple[int, int] = (512, 512)) -> Camera:
         """Return a camera that has all that is visible in view, where its target and distance are not given."""
         known, points = camera_of(camera), self.seen_points
-        view = view_of(known, self.samples.shape, self.geometry, size, points)
+        view = view_of(known, self._original.shape, self.geometry, size, points)
         target = known.target or triple((points.min(axis=0) + points.max(axis=0)) / 2)
         return replace(known, target=target, distance=float(np.linalg.norm((view.eye - target) * view.spacing)))
 
@@ -479,8 +500,11 @@ class Scene:
     def _look(self, view: Projection) -> shading.Look:
         seen, light = self._seen, lamp(view)
         arrives, placed = arriving(self._shade, light, self.shadows)
+        camera, k = view.packed.copy(), self.coarse
+        camera[0] /= k  # in samples
+        camera[1] *= k
         return shading.Look(
-            camera=np.ascontiguousarray(view.packed),
+            camera=camera,
             skips=self._skips,
             table=seen.table,
             sums=summed(seen.table),
@@ -491,7 +515,7 @@ class Scene:
             step=self.step,
             light=triple(light),
             shaded=self.shaded,
-            box=np.ascontiguousarray(np.array(self.clip).T),
+            box=np.ascontiguousarray(np.array(self.clip).T / k),
             plane=self.plane,
             silhouettes=self.silhouettes,
             projection=PROJECTIONS.index(self.projection),

@@ -8,6 +8,7 @@ import threading
 import time
 from collections import OrderedDict
 from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from dataclasses import replace
 from typing import Any
 
@@ -522,8 +523,17 @@ class VideoStage(ImageStage):
         return self.film.get(min(max(round(frame), 0), self.film.count - 1))
 
 
+NIMBLE = 0.04  # seconds that a preview of a drag may take
+_ROUGHEST, _EASY = 8, 1 << 21  # voxels from sample to sample of a preview; voxels that are warped in a moment
+_COLD, _WARM = np.array([0.10, 0.25, 0.75]), np.array([0.95, 0.35, 0.10])  # as in warm.wgsl
+
+
 class VolumeStage:
-    """A volume with a transfer function; of a series, one volume."""
+    """A volume with a transfer function; of a series, one volume.
+
+    Without a hardware GPU, the core renders it on the CPU, which is faster than shaders there: a preview of every few
+    voxels while strokes change, and all of them once a thread has warped them.
+    """
 
     kind: Kind = "volume"
 
@@ -538,17 +548,22 @@ class VolumeStage:
         self.mode = "hybrid"
         self._gpu = gpu
         self._samples = volume.rescaled() if samples is None else samples
+        self._bent: dict[int, tuple[Deformation, Scene, str]] = {}  # the result (0), and its base (1); and a warning
+        self._rough: dict[int, tuple[Deformation, Scene]] = {}  # previews of the same, of voxels so far apart
+        self._apart = next(k for k in (1, 2, 4, 8) if k == _ROUGHEST or self._samples.size <= _EASY * k**3)
+        self.drawn_in: float | None = None  # seconds of the CPU for the last image, but for the warp
+        self._pool = ThreadPoolExecutor(1, "supple-bend")
+        self._ahead: tuple[Deformation, Future[tuple[Deformation, Scene, str]]] | None = None  # what the thread warps
         self.scene = self._made(transfer)
         self.shape, self.spacing = self.scene.shape, tuple(volume.geometry.spacing)
         counts, _ = np.histogram(self._samples, 96, self.scene.range)
         self.histogram = np.log1p(counts).astype(np.float32)  # logarithms of voxel counts by value
         self._plain = self.scene
-        self._bent: dict[int, tuple[Deformation, Scene, str]] = {}  # the result (0), and its base (1); and a warning
         self.trouble = self.warned = ""  # a remark on the displayed image
         self._seconds = {False: 0.0, True: math.inf}  # of the last map without a freeze mask, and with one
 
     def _made(self, transfer: Transfer | str) -> Scene:
-        device = "gpu" if self._gpu.software else "auto"
+        device = "cpu" if self._gpu.software else "gpu"
         scene = Scene(
             self._samples,
             self.volume.geometry,
@@ -558,7 +573,7 @@ class VolumeStage:
             mode=self.mode,
             device=device,
         )
-        if scene._held is None:
+        if scene._held is None and not self._gpu.software:
             raise SuppleError(f"{self.name} is more than a shader takes of {self._gpu.name}")
         return scene
 
@@ -566,23 +581,48 @@ class VolumeStage:
         """Set the mode of rendering."""
         self.mode = mode
         self._plain = self._made(self.scene.transfer)
-        self.scene, self._bent = self._plain, {}
+        self.scene, self._bent, self._rough, self._ahead = self._plain, {}, {}, None
 
     def deform(self, deformation: Deformation, beside: int = 0) -> Scene:
         """Return the scene with strokes, of the result or of its base; the last one of each is cached."""
         if deformation.is_identity:
             return self._plain
         known = self._known(deformation)
+        if known is None and self._ahead is not None and self._ahead[0] is deformation:
+            known = self._ahead[1].result()
         if known is None:
-            said = [""]
             begun = time.perf_counter()
-            with heard(lambda text, kind: said.append(text)):
-                scene = self._plain.deformed(deformation)
-            known = deformation, scene, said[-1]
+            known = self._solved(self._plain, deformation)
             self._seconds[deformation.space.freeze is not None] = time.perf_counter() - begun
         self._bent[beside] = known
         if not beside:
             _, self.scene, self.warned = known
+        return known[1]
+
+    def _solved(self, plain: Scene, deformation: Deformation) -> tuple[Deformation, Scene, str]:
+        said = [""]
+        with heard(lambda text, kind: said.append(text)):
+            return deformation, plain.deformed(deformation), said[-1]
+
+    @property
+    def previews(self) -> bool:
+        """Whether the CPU renders a warped volume, of which there is a preview while strokes change."""
+        return self._plain.gpu is None and self.mode != "exact"
+
+    def preview(self, deformation: Deformation, beside: int = 0) -> Scene:
+        """Return the scene with strokes; until it is computed, of as many of its voxels as are warped at once."""
+        if not self.previews or deformation.is_identity or self._known(deformation) is not None:
+            return self.deform(deformation, beside)
+        known = self._rough.get(beside)
+        if known is None or known[0] is not deformation:
+            begun, apart = time.perf_counter(), self._apart
+            scene = self.deform(deformation, beside) if apart == 1 else self._plain.deformed(deformation, coarse=apart)
+            known = self._rough[beside] = deformation, scene
+            seconds = time.perf_counter() - begun
+            if seconds > NIMBLE and apart < _ROUGHEST:
+                self._apart *= 2
+            elif seconds < NIMBLE / 16 and apart > 1:
+                self._apart //= 2
         return known[1]
 
     def _known(self, deformation: Deformation) -> tuple[Deformation, Scene, str] | None:
@@ -590,13 +630,13 @@ class VolumeStage:
 
     def is_slow(self, deformation: Deformation) -> bool:
         """Return whether drawing through strokes would take long: as the last ones did, unless these are known."""
-        if deformation.is_identity or self._known(deformation) is not None:
+        if deformation.is_identity or self.previews or self._known(deformation) is not None:
             return False
         return self._seconds[deformation.space.freeze is not None] > SLOW
 
     def on_canvas(self, deformation: Deformation) -> Scene:
-        """Return the scene with strokes; the one before, which is still seen, while that would take long."""
-        return self.scene if self.is_slow(deformation) else self.deform(deformation)
+        """Return the scene with strokes; what is still seen, while that would take long."""
+        return self.scene if self.is_slow(deformation) else self.preview(deformation)
 
     def look(self, transfer: Transfer | str, density: tuple[float, float] | None) -> None:
         """Set another transfer function."""
@@ -611,6 +651,7 @@ class VolumeStage:
     def _change(self, change: Callable[[Scene], Scene]) -> None:
         self._plain = change(self._plain)
         self._bent = {k: (made, change(scene), said) for k, (made, scene, said) in self._bent.items()}
+        self._rough, self._ahead = {}, None
         self.scene = self._bent[0][1] if 0 in self._bent else self._plain
 
     def draw(
@@ -621,21 +662,41 @@ class VolumeStage:
         texture: Any,
         overlay: str = "",
         beside: int = 0,
+        *,
+        moving: bool = False,
     ) -> None:
-        """Render into a texture of columns and rows; by the CPU, without an overlay, what the device cannot."""
-        scene, (columns, rows) = self.deform(deformation, beside), size
+        """Render into a texture of columns and rows; by the CPU, what the device cannot."""
+        scene, (columns, rows) = (self.preview if moving else self.deform)(deformation, beside), size
         if scene.gpu is not None:
             scene.draw(texture, camera, (rows, columns), background=BACK, overlay=overlay)
             return
-        pixels = np.full((rows, columns, 4), 255, np.uint8)
-        pixels[..., :3] = scene.render(camera, (rows, columns)).pixels(BACK)
+        pixels, begun = np.full((rows, columns, 4), 255, np.uint8), time.perf_counter()
+        picture = scene.render(camera, (rows, columns))
+        pixels[..., :3] = picture.pixels(BACK)
+        if overlay == "inversions":
+            work = np.where(picture.evaluations > 0, picture.evaluations, picture.samples)[..., None]
+            part = np.minimum(np.log2(1.0 + work) / 12, 1)
+            tint = 0.4 * pixels[..., :3] + 0.6 * 255 * (_COLD + part * (_WARM - _COLD))
+            pixels[..., :3] = np.where(work > 0, np.rint(tint), pixels[..., :3])
         filled(self._gpu, texture, pixels)
+        self.drawn_in = time.perf_counter() - begun
 
     def fill(self, deformation: Deformation, seconds: float) -> float:
         """Fill a part of the buffer; return the filled part."""
         if deformation.is_identity:
             return 1.0
+        if self.previews and self._known(deformation) is None:
+            if self._ahead is None or self._ahead[0] is not deformation:
+                if self._ahead is not None:
+                    self._ahead[1].cancel()
+                self._ahead = deformation, self._pool.submit(self._solved, self._plain, deformation)
+            if self._ahead[1] not in wait([self._ahead[1]], seconds).done:
+                return 0.0
         return self.deform(deformation).fill(seconds=seconds)
+
+    def close(self) -> None:
+        """End the thread, after what it does now."""
+        self._pool.shutdown(wait=True, cancel_futures=True)
 
     def value(self, pick: Pick) -> Any:
         """Return the value of a picked voxel."""

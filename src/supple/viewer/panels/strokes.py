@@ -19,7 +19,6 @@ from supple.viewer.document.words import CAUSES, FALLOFFS, FOLDS, described, lis
 from supple.viewer.panels import keyframes, theme
 from supple.viewer.panels.actions import ACTIONS
 from supple.viewer.panels.overlay import grid_step
-from supple.viewer.panels.stages import VolumeStage
 from supple.viewer.panels.theme import HIDDEN, SEEN
 from supple.viewer.panels.view import View
 from supple.viewer.panels.widgets import (
@@ -64,9 +63,6 @@ def legend(view: View) -> None:
         step = grid_step(view.tools.view.zoom) if isinstance(view.tools, ImageTools) else 32
         wrapped(f"Lines of the original, every {32 if view.document.timed else step} pixels, as they are bent.")
     if name not in _SCALES:
-        return
-    if isinstance(view.stage, VolumeStage) and view.stage.scene.gpu is None:
-        wrapped("Not shown: the CPU renders what the device cannot.")
         return
     text, marks = _SCALES[name]
     wrapped(text)

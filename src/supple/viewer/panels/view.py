@@ -169,8 +169,10 @@ class Painter:
         """Wait for the last image, and adapt the size of drawn pixels to the device's time, where it depends on it."""
         if not self._adapts:
             return
-        wait(self.gpu)
-        seconds = time.perf_counter() - self._begun
+        seconds = self.stage.drawn_in if isinstance(self.stage, VolumeStage) else None
+        if seconds is None:
+            wait(self.gpu)
+            seconds = time.perf_counter() - self._begun
         if seconds > FRAME and self.coarse < COARSEST:
             self.coarse += 1
         elif self.coarse > 1 and seconds * (self.coarse / (self.coarse - 1)) ** 2 < 0.7 * FRAME:
@@ -185,7 +187,8 @@ class Painter:
             self._textures[k, size] = canvas_texture(self.gpu, size)
         texture = self._textures[k, size]
         if isinstance(stage, VolumeStage):
-            stage.draw(deformation, shot.camera, size, texture, sight.overlay, int(shot.original or k))
+            moving = not sight.solved
+            stage.draw(deformation, shot.camera, size, texture, sight.overlay, int(shot.original or k), moving=moving)
             self.part = _about_the_middle(sight.size, size)
             return texture
         x, y = (n / (m * coarse) for n, m in zip(sight.size, size, strict=True))
@@ -353,7 +356,7 @@ class View:
     @property
     def refining(self) -> bool:
         """Return whether to wait for a volume's buffer before drawing at full size, which is slow without it."""
-        slow = isinstance(self.stage, VolumeStage) and self.stage.mode == "hybrid" and self.gpu.software
+        slow = isinstance(self.stage, VolumeStage) and self.stage.previews
         filling = self.filled < 1.0 and not self.tools.original  # the buffer is the result's
         return slow and filling and not self.document.deformation.is_identity
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 import numpy as np
@@ -40,10 +40,15 @@ class Stage:
     geometry: Geometry
     size: tuple[int, int]  # rows and columns of the canvas, in logical pixels
     points: npt.NDArray[np.float64] | None = None  # that are in view at first, in voxels (N, 3); None: the whole volume
+    _views: dict[Camera, Projection] = field(default_factory=dict, init=False, compare=False)
 
     def view(self, camera: Camera) -> Projection:
-        """Return the projection of a camera."""
-        return view_of(camera, self.shape, self.geometry, self.size, self.points)
+        """Return the projection of a camera; the last ones are kept, as a frame asks for them for each mark."""
+        if camera not in self._views:
+            if len(self._views) >= 16:
+                self._views.clear()
+            self._views[camera] = view_of(camera, self.shape, self.geometry, self.size, self.points)
+        return self._views[camera]
 
     def target(self, camera: Camera) -> tuple[float, ...]:
         """Return the target of the camera, in indices, x first."""

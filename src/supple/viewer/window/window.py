@@ -416,6 +416,8 @@ class Window(View):
         self.commands.end()
         if isinstance(self.stage, VideoStage):
             self.stage.film.close()
+        elif isinstance(self.stage, VolumeStage):
+            self.stage.close()
 
 
 _HOLDING = "let go of the stroke first"

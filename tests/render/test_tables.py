@@ -1,0 +1,107 @@
+"""CTs without the table, and greys of a range that metal and what lies outside of a scan do not set."""
+
+from __future__ import annotations
+
+import warnings
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from supple.cli import command
+from supple.errors import VolumeWarning
+from supple.render.appearance import levelled, without_table
+from supple.render.scene import Scene
+from supple.render.transfer import PRESETS
+from tests.render.test_files import stored
+
+
+def patient(*, legs: bool = False, table: bool = True) -> npt.NDArray[np.int16]:
+    """A body, or two legs, on a thin table, in noisy air; HU."""
+    z, y, x = np.mgrid[:30, :40, :50]
+    made = np.random.default_rng(0).normal(-1000, 20, z.shape)
+    for middle in (14, 36) if legs else (25,):
+        made[(y - 18) ** 2 + ((x - middle) / (1 if legs else 2)) ** 2 < 81] = 40
+    if table:
+        made[:, 31, 8:42] = 0
+    return made.astype(np.int16)
+
+
+@pytest.mark.parametrize("legs", [False, True])
+def test_a_table_is_left_out_and_legs_are_not(legs: bool) -> None:
+    given = patient(legs=legs)
+    kept, apart = without_table(given)
+    body, table = given == 40, np.zeros(given.shape, np.bool_)
+    table[:, 31, 8:42] = True
+    np.testing.assert_array_equal(kept[body], given[body])
+    assert (kept[table] == -1000).all()
+    np.testing.assert_array_equal(kept[~table], given[~table])
+    assert apart == pytest.approx(table.sum() / (table | body).sum())
+    assert kept.dtype == given.dtype
+
+
+def test_without_a_table_nothing_is_said_or_changed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    given = patient(table=False)
+    kept, apart = without_table(given)
+    assert apart == 0
+    np.testing.assert_array_equal(kept, given)
+    assert without_table(np.full((3, 3, 3), -1000, np.int16))[1] == 0
+    monkeypatch.chdir(tmp_path)
+    stored("ct.nii", given)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        from supple.files.renders import RenderOptions, render_file
+
+        render_file("ct.nii", "a.png", options=RenderOptions(transfer="ct-skin", size=(40, 40)))
+
+
+def test_the_presets_of_ct_leave_it_out_unless_it_is_asked_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any
+) -> None:
+    from supple.files.renders import RenderOptions, render_file
+
+    monkeypatch.chdir(tmp_path)
+    stored("ct.nii", patient())
+    small = (40, 40)
+    with pytest.warns(
+        VolumeWarning, match=r"% of what is as dense as skin in ct.nii lies apart from the body.*: table"
+    ):
+        bare = render_file("ct.nii", "a.png", options=RenderOptions(transfer="ct-skin", size=small))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for k, options in enumerate(({"table": True}, {"largest": True}, {"transfer": "grey"})):
+            scene = render_file(
+                "ct.nii", f"{k}.png", options=RenderOptions(**{"transfer": "ct-skin", **options}, size=small)
+            )
+            assert (scene.samples[:, 31, 10:40] > -450).all() == (not options.get("largest", False))
+    assert (bare.samples[:, 31, 10:40] == -1000).all()
+    assert command(["render", "ct.nii", "b.png", "--size", "40x40", "--transfer", "ct-skin"]) == 0
+    assert "is left out: --table shows it" in " ".join(capsys.readouterr().err.split())
+    assert command(["render", "ct.nii", "c.png", "--size", "40x40", "--transfer", "ct-skin", "--table"]) == 0
+    assert "left out" not in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("beyond", [-1000, -3024])
+def test_the_grey_of_tissue_does_not_depend_on_metal_or_on_what_is_outside(beyond: int) -> None:
+    given = patient(table=False).astype(np.float32)
+    given[:, 17:20, 24:26] = 1200
+    plain = given.copy()
+    given[15, 18, 20:24] = 3071  # a screw
+    given[:, :3, :3] = beyond
+    one, other = (Scene(each, transfer="grey") for each in (plain, given))
+    tissue, air = (scene.transfer.table(40, 41, 1.0)[0] for scene in (one, other)), other.transfer.table(-1000, -940, 1)
+    first, second = tissue
+    np.testing.assert_allclose(first, second, rtol=0.02)
+    assert first[0] > 0.15  # linear light: a third of the way as sRGB sees it
+    assert not air[..., 3].any()
+
+
+def test_other_transfer_functions_are_as_they_were() -> None:
+    samples = patient()
+    ends = float(samples.min()), float(samples.max())
+    for name, transfer in PRESETS.items():
+        assert (levelled(transfer, samples, ends) is transfer) == (name != "grey")
+    flat = levelled(PRESETS["grey"], np.zeros((3, 3, 3), np.uint8), (0.0, 0.0))
+    assert flat.points[0][0] == pytest.approx(0.06)
