@@ -349,6 +349,9 @@ class TrackOptions:
             )
 
 
+Labels = Annotated[bool | Literal["nearest", "smooth"], Parameter(group=VOLUME, metavar="[nearest|smooth]")]
+
+
 @Parameter(name="*", group=VOLUME)
 @dataclass(kw_only=True, eq=False, repr=False)
 class VolumeArguments:
@@ -375,7 +378,7 @@ class VolumeArguments:
     dtype: Annotated[str | None, Parameter(metavar="TYPE")] = None
     spacing: Annotated[str | None, Parameter(metavar="X,Y,Z", allow_leading_hyphen=True)] = None
 
-    def to_reading(self, *, labels: bool = False, save_field: str | None = None) -> "Reading":
+    def to_reading(self, *, labels: bool | str = False, save_field: str | None = None) -> "Reading":
         """Return the options as the library takes them."""
         from supple.files.options import VolumeOptions as Reading
 

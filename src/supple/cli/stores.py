@@ -13,7 +13,7 @@ from cyclopts import Parameter
 
 from supple.cli.console import STREAM, Console, File, Terminated, about, current, one_line, say_convention
 from supple.cli.console import told as told_of
-from supple.cli.options import RUNNING, VOLUME, SamplingOptions, VolumeArguments, WorkerOptions
+from supple.cli.options import RUNNING, Labels, SamplingOptions, VolumeArguments, WorkerOptions
 from supple.cli.options_maps import (
     OTHERS,
     MapOptions,
@@ -176,7 +176,7 @@ def plan(
     maps: MapOptions = _MAPS,
     output: OutputOptions = _OUTPUT,
     sampling: SamplingOptions = _SAMPLING,
-    labels: Annotated[bool, Parameter(group=VOLUME)] = False,
+    labels: Labels = False,
     volume: VolumeArguments = _VOLUME,
     workers: WorkerOptions = _WORKERS,
     json: Annotated[bool, Parameter(group=RUNNING)] = False,

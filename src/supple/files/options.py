@@ -76,9 +76,10 @@ class VolumeOptions:
     world : bool
         Whether the strokes' points are positions in space, in millimetres, in the file's own convention, rather than
         indices.
-    labels : bool
-        Whether values are labels, which are not interpolated: every voxel takes that of the nearest. Integers only,
-        which may be stored as floats.
+    labels : bool or str
+        Whether values are labels, which are not interpolated: every voxel takes that of the nearest (True or
+        ``"nearest"``), or that of the largest share of its footprint (``"smooth"``). Integers only, which may be stored
+        as floats.
     save_field : str or os.PathLike, optional
         The file for the inverse displacement field, for SimpleITK, ANTs and 3D Slicer; beside a Zarr store, also
         one of OME-Zarr (``.zarr``), for both directions.
@@ -89,10 +90,19 @@ class VolumeOptions:
     """
 
     world: bool = False
-    labels: bool = False
+    labels: bool | str = False
     save_field: PathLike | None = None
     layout: RawLayout | None = None
     series: str | None = None
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.labels, bool) and self.labels not in ("nearest", "smooth"):
+            refuse("labels", 'True, False, "nearest" or "smooth"', self.labels)
+
+    @property
+    def label_filter(self) -> str:
+        """The filter of labels."""
+        return "labels" if self.labels == "smooth" else "nearest"
 
 
 @dataclass(frozen=True, slots=True)

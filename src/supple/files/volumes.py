@@ -166,9 +166,19 @@ def _mapped(stroke: Stroke, there: Callable[[Floats], Floats], geometry: Geometr
     return replace(made, axis=along(tuple(np.multiply(axis, way / np.abs(axis).max()).tolist())))
 
 
+def filtered(job: Job) -> Sampling:
+    """Return how a volume is sampled, of labels as these are; SuppleError for labels that would be mixed."""
+    name, wanted = job.sampling.filter, job.volume.label_filter
+    if job.volume.labels and name not in ("auto", wanted):
+        fit = "auto" if wanted == "labels" else wanted
+        text = f'{argument("labels")} needs filter "{fit}", which keeps values as they are, found "{name}"'
+        raise SuppleError(text)
+    return replace(job.sampling, filter=wanted) if job.volume.labels else job.sampling
+
+
 def sampling_of(sampling: Sampling) -> Sampling:
     """Return the sampling options of a volume, equal along all three axes."""
-    between = "cubic" if sampling.filter in ("auto", "cubic") else None
+    between = "cubic" if sampling.filter in ("auto", "cubic", "labels") else None
     return replace(sampling, between=between, time_filter=sampling.filter == "auto")
 
 
@@ -194,11 +204,7 @@ def warp_volume(
 def warp(job: Job, tell: Tell) -> Warped:
     """Warp a volume, as in `warp_volume`, whose names and options are checked."""
     source, target, known, grid, maps = job.source, job.target, job.volume, job.grid, job.maps
-    name = "nearest" if known.labels and job.sampling.filter == "auto" else job.sampling.filter
-    sampling = sampling_of(replace(job.sampling, filter=name))
-    if known.labels and name != "nearest":
-        text = f'{argument("labels")} needs filter "nearest", which keeps values as they are, found "{name}"'
-        raise SuppleError(text)
+    sampling = sampling_of(filtered(job))
     tell("read", 0, 1)
     volume = open_volume(source, known)
     if grid is None:
@@ -226,7 +232,7 @@ def warp(job: Job, tell: Tell) -> Warped:
     work_of(frames.shape, frames.dtype, space, sampling, alpha=False, finite=False)  # raise its errors now
     _warn_of_gaps(volume, sampling.filter)
     mixed = not deformation.is_identity or not (regrid is None or regrid.uncropped().is_same_space(volume.grid))
-    if sampling.filter != "nearest" and mixed:
+    if not sampling.keeps_values and mixed:
         _warn_of_labels(volume)
     with contextlib.ExitStack() as stack:
         if known.save_field is not None:
@@ -246,7 +252,7 @@ def warp(job: Job, tell: Tell) -> Warped:
     )  # fmt: skip
 
 
-def background_of(volume: Volume, *, labels: bool = False) -> float:
+def background_of(volume: Volume, *, labels: bool | str = False) -> float:
     """Return the scaled value of what lies outside of a volume: of labels 0, of DICOM its padding, or else the least.
 
     NaN and infinities are left out.
@@ -298,7 +304,7 @@ def check(job: Job) -> None:
 
 
 def _warn_of_gaps(volume: Volume, filter: str) -> None:
-    if volume.samples.dtype.kind != "f" or filter == "nearest":
+    if volume.samples.dtype.kind != "f" or filter in ("nearest", "labels"):
         return
     gaps = sum(int(np.count_nonzero(~np.isfinite(slab))) for slab in volume.samples)
     if gaps:
