@@ -1,6 +1,6 @@
 """Make the pictures of the README and the documentation, in docs/images.
 
-python docs/make_images.py [how-to] [augmentation] [labels] [smooth] [colours] [straightened]     all, or some
+python docs/make_images.py [how-to] [augmentation] [labels] [smooth] [planes] [colours] [straightened]     all, or some
 
 The wall needs scikit-image.
 """
@@ -26,6 +26,8 @@ from scipy import ndimage
 
 import supple
 from supple.augment import RandomElastic, apply
+from supple.files.options import VolumeOptions
+from supple.files.plots import plot_file
 from supple.files.tracks import follow_tracks
 from supple.files.volumes import open_volume
 from supple.media import image
@@ -353,6 +355,18 @@ def kept_labels(folder: Path) -> None:
     side_by_side(folder / "labels-smooth.webp", [shown(pixels, 2, "nearest") for pixels in made])
 
 
+def planes_drawn(folder: Path) -> None:
+    """A plane of the head whose forehead is pressed in, as supple plot draws it."""
+    stroke = supple.Stroke.grab((0, 71, 53), to=(0, 59, 49), radius=40)
+    with tempfile.TemporaryDirectory() as place:
+        png = Path(place) / "plot.png"
+        options = VolumeOptions(world=True)
+        plot_file(DATA / "head.nii.gz", png, supple.Recipe(strokes=(stroke,)), volume=options, plane="sagittal:0")
+        pyvips.Image.new_from_file(str(png)).flatten(background=WHITE).resize(0.6).webpsave(
+            folder / "plot-volume.webp", Q=80, effort=6, keep="none"
+        )
+
+
 def tinted(folder: Path) -> None:
     """The head in colours of tissue, cut open, and bent."""
     head, brain = (open_volume(DATA / f"{name}.nii.gz") for name in ("head", "brain"))
@@ -542,7 +556,14 @@ def main() -> None:
     """Make all pictures."""
     folder = HERE / "images"
     folder.mkdir(exist_ok=True)
-    pages = {"how-to": how_to, "augmentation": augmented, "labels": labelled, "smooth": kept_labels, "colours": tinted}
+    pages = {
+        "how-to": how_to,
+        "augmentation": augmented,
+        "labels": labelled,
+        "smooth": kept_labels,
+        "planes": planes_drawn,
+        "colours": tinted,
+    }
     pages["straightened"] = straightened
     for page in sys.argv[1:] or pages:
         pages[page](folder)
