@@ -34,8 +34,8 @@ _NAMES = (
     "error field_of_view fill filter first_frame fit flat force frame frames freeze freeze_width from hold "
     "keystone labels linear_light lossless map memory mode on_fold outside picture pixel_format "
     "plane poisson preset quality radius reach refer_to reference resample roll rotate save_field scale_to scales "
-    "scheduler series shape shear size source spacing status step strength target time time_filter time_radius time_scale to "
-    "tolerance track_frame track_turn transfer turntable up workers world x y"
+    "scheduler series shape shear size source spacing status step strength target time time_filter time_radius "
+    "time_scale to tolerance track_frame track_turn transfer turntable up workers world x y"
 )
 _OPTIONS = {name: f"--{name.replace('_', '-')}" for name in _NAMES.split()}
 _OPTIONS |= {"supersampling": "--smooth", "layout": "--shape, --dtype and --spacing", "rate": "--fps"}
