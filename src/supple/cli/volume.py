@@ -242,7 +242,7 @@ def render(
     Parameters
     ----------
     source
-        A volume: NIfTI, NRRD, MetaImage, a DICOM folder, a TIFF stack, .dat, or a file without a header.
+        A volume: NIfTI, NRRD, MetaImage, .mgz, a DICOM folder, a TIFF stack, .dat, or a file without a header.
     target
         A picture (PNG and TIFF keep opacity); with --turntable, a video or a name with a number.
     reference

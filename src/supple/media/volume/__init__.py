@@ -1,4 +1,4 @@
-"""Volume files: NIfTI, NRRD, MetaImage, DICOM series, stacks of TIFF pages, and voxels without a header."""
+"""Volume files: NIfTI, NRRD, MetaImage, .mgz, DICOM series, stacks of TIFF pages, and voxels without a header."""
 
 from __future__ import annotations
 
@@ -26,7 +26,8 @@ __all__ = [
 
 _QUICK = 1 << 31  # bytes up to which `info` computes the range
 _KINDS = (
-    "give NIfTI, NRRD, MetaImage, DICOM, a TIFF or a .dat file, or tell what is in it (--shape, --dtype, --spacing)"
+    "give NIfTI, NRRD, MetaImage, .mgz, DICOM, a TIFF or a .dat file, or tell what is in it (--shape, --dtype, "
+    "--spacing)"
 )
 
 
@@ -79,6 +80,10 @@ def _read(path: PathLike, layout: RawLayout | None, series: str | None, *, heade
         from supple.media.volume import nifti
 
         return nifti.read(path, header_only=header_only)
+    if form == "MGH":
+        from supple.media.volume import mgh
+
+        return mgh.read(path, header_only=header_only)
     from supple.media.volume import itk
 
     return itk.read(path, form, header_only=header_only)
@@ -127,6 +132,10 @@ def check_target(
         known = rescaled_dtype(known, like.scaling)
     if suffix in stack.SUFFIXES:
         stack.check(path, like, known)
+    elif FORMATS[suffix] == "MGH":
+        from supple.media.volume import mgh
+
+        mgh.check(path, like, known)
     elif known.name not in DTYPES:
         raise unwritable(path, f"volumes hold no {known} values", f"use one of {', '.join(DTYPES)}")
 
@@ -165,6 +174,11 @@ def write(path: PathLike, samples: Array, like: Volume, *, force: bool = False) 
     meant = rescaled(samples, like.scaling)
     if suffix in stack.SUFFIXES:
         stack.write(path, meant, like, force=force)
+        return
+    if FORMATS[suffix] == "MGH":
+        from supple.media.volume import mgh
+
+        mgh.write(path, meant, like, force=force)
         return
     from supple.media.volume import itk
 

@@ -34,7 +34,7 @@ class Volume:
     samples: Array
     geometry: Geometry
     name: str = "the volume"  # of the file, for messages
-    format: str = ""  # "NIfTI", "NRRD", "MetaImage", "DICOM", "TIFF" or "raw"
+    format: str = ""  # "NIfTI", "NRRD", "MetaImage", "MGH", "DICOM", "TIFF" or "raw"
     series: bool = False  # whether the first axis is time
     header: Any = None  # in the file's format; of DICOM, the path of the file of many frames, or those of the slices
     scaling: tuple[float, float] = (1.0, 0.0)  # the values are slope * samples + intercept
