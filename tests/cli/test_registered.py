@@ -6,6 +6,7 @@ import json
 from pathlib import Path
 from typing import Any
 
+import nibabel
 import numpy as np
 import numpy.typing as npt
 import pytest
@@ -141,6 +142,30 @@ def test_contours_follow(run: Run, registered: sitk.Transform) -> None:
     assert status == 0, err
     start, end = (points_of(contours(Path(name))[0]) for name in ("rs.dcm", "out.dcm"))
     np.testing.assert_allclose(end, through(registered, start), rtol=0, atol=1e-5)
+
+
+@pytest.mark.parametrize("convention", ["spm-deformation", "niftyreg"])
+def test_fields_of_spm_and_niftyreg_are_written_and_lead_to_the_same_places(
+    run: Run, registered: sitk.Transform, convention: str
+) -> None:
+    """Positions in RAS, in NIfTI with five axes: as SPM's y_ files and NiftyReg's deformation fields are."""
+    assert run("convert", "warp.nii.gz", "y_warp.nii", "--to", convention)[0] == 0
+    written = nibabel.load("y_warp.nii")
+    assert written.shape == (*nibabel.load("fixed.nii.gz").shape, 1, 3)
+    index = (5, 20, 11)
+    place = nibabel.affines.apply_affine(written.affine, index) * FLIP
+    field = sitk.DisplacementFieldTransform(sitk.ReadImage("warp.nii.gz", sitk.sitkVectorFloat64))
+    np.testing.assert_allclose(np.asarray(written.dataobj)[(*index, 0)] * FLIP, field.TransformPoint(place), atol=1e-4)
+    points = placed()
+    source = write("lps.csv", points)
+    for told in ((), ("--convention", convention)):
+        maps = (*CHAIN[:2], "--field", "y_warp.nii", *told)
+        status, _, err = run("points", str(source), "out.csv", "--inverse", *ON, *maps, "--force")
+        assert status == 0, err
+        np.testing.assert_allclose(read_points("out.csv").points, through(registered, points), rtol=0, atol=2e-5)
+    assert run("warp", "moving.nii.gz", "a.nii.gz", "--field", "y_warp.nii", "--reference", "fixed.nii.gz")[0] == 0
+    assert run("warp", "moving.nii.gz", "b.nii.gz", "--field", "warp.nii.gz", "--reference", "fixed.nii.gz")[0] == 0
+    np.testing.assert_allclose(media.read("a.nii.gz").samples, media.read("b.nii.gz").samples, atol=1e-4)
 
 
 def test_strokes_stand_at_their_place_in_the_chain(run: Run, registered: sitk.Transform) -> None:

@@ -268,7 +268,7 @@ def render(
         raise SuppleError("--convention is of tables of --pull and of meshes, and there are none: leave it out")
     if reading.world and recipe is None:
         raise SuppleError("--world is about the points of strokes, and there are none: leave it out")
-    medium = Medium(source, "volume", reading.layout, reading.series)
+    medium = Medium(source, "volume", reading.layout, reading.series, reading.irregular)
     grid = None if reference is None else GridOptions(reference)
     placed = elements.on(console, medium.outline.grid, medium.name, grid) if elements else ()
     with spelling(naming(rate="--rate")), counted(console.terminal) as tell, workers() as who:

@@ -87,6 +87,8 @@ class VolumeOptions:
         The layout of a file without a header.
     series : str, optional
         The DICOM series of a folder: its number in the list, or its UID.
+    irregular : str, optional
+        ``"resample"`` accepts DICOM slices that are missing or unevenly spaced, as in `supple.media.volume.read`.
     """
 
     world: bool = False
@@ -94,6 +96,7 @@ class VolumeOptions:
     save_field: PathLike | None = None
     layout: RawLayout | None = None
     series: str | None = None
+    irregular: str | None = None
 
     def __post_init__(self) -> None:
         if not isinstance(self.labels, bool) and self.labels not in ("nearest", "smooth"):

@@ -135,11 +135,11 @@ def open_source(job: Job) -> Source:
             raise SuppleError(
                 f"{shown(source)} is a {kind}, and blocks are of pictures, volumes and Zarr stores: give one of these"
             )
-        samples = Samples(source, raw=known.layout, series=known.series)
+        samples = Samples(source, raw=known.layout, series=known.series, irregular=known.irregular)
         n = _axes_of_space(job, 3 if "z" in samples.axes else 2)
         geometry = samples.geometry if n == 3 else None
         return Source(shown(source), like_file(source, samples, ndim=n), samples, geometry)
-    for name, given in (("series", known.series), ("shape", known.layout)):
+    for name, given in (("series", known.series), ("irregular", known.irregular), ("shape", known.layout)):
         if given is not None:
             raise SuppleError(f"{name} is not for Zarr stores: leave it out")
     image = open_image(source)

@@ -43,10 +43,11 @@ _HUGE, _TINY = 2, 1  # radii, in the size of a volume and in the distance of its
 def open_volume(source: PathLike, options: VolumeOptions | None = None) -> Volume:
     """Return a volume with the samples as they are stored: `Volume.rescaled` has the true values."""
     known = options or VolumeOptions()
-    volume = read(source, raw=known.layout, series=known.series)
-    if known.series is not None and volume.format != "DICOM":
-        text = f"{volume.name} is {volume.format}, and {argument('series')} is for DICOM folders: leave it out"
-        raise SuppleError(text)
+    volume = read(source, raw=known.layout, series=known.series, irregular=known.irregular)
+    for name in ("series", "irregular"):
+        if getattr(known, name) is not None and volume.format != "DICOM":
+            text = f"{volume.name} is {volume.format}, and {argument(name)} is for DICOM folders: leave it out"
+            raise SuppleError(text)
     return volume
 
 

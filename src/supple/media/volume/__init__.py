@@ -36,7 +36,9 @@ def is_dicom(path: PathLike) -> bool:
     return _format(path) == "DICOM"
 
 
-def read(path: PathLike, *, raw: RawLayout | None = None, series: str | None = None) -> Volume:
+def read(
+    path: PathLike, *, raw: RawLayout | None = None, series: str | None = None, irregular: str | None = None
+) -> Volume:
     """Read a volume; uncompressed data are mapped from the file if possible (NIfTI, .dat, headerless).
 
     Parameters
@@ -47,6 +49,9 @@ def read(path: PathLike, *, raw: RawLayout | None = None, series: str | None = N
         The layout of a file without a header; if given, it applies to files of any suffix.
     series : str, optional
         The series of a folder with several: its SeriesInstanceUID, or its number in the list, from 1.
+    irregular : str, optional
+        What becomes of DICOM slices that are missing, or unevenly spaced: by default, they are refused; ``"resample"``
+        interpolates them linearly along the stack, at even steps, with a warning.
 
     Raises
     ------
@@ -54,19 +59,23 @@ def read(path: PathLike, *, raw: RawLayout | None = None, series: str | None = N
         If the file is missing, empty, cut short, damaged, or of an unknown kind; its voxels are not real numbers, or
         not on a regular grid with a spacing above 0.
     """
-    return _read(path, raw, series)
+    return _read(path, raw, series, irregular)
 
 
-def outline_of(path: PathLike, *, raw: RawLayout | None = None, series: str | None = None) -> Volume:
+def outline_of(
+    path: PathLike, *, raw: RawLayout | None = None, series: str | None = None, irregular: str | None = None
+) -> Volume:
     """Return a volume from its header alone; its samples have their shape and type, take no memory, and are 0.
 
     DICOM and TIFF are read for it: their slices tell what they hold one by one.
     """
-    known = _read(path, raw, series, header_only=True)
+    known = _read(path, raw, series, irregular, header_only=True)
     return replace(known, samples=np.broadcast_to(np.zeros((), known.samples.dtype), known.samples.shape))
 
 
-def _read(path: PathLike, layout: RawLayout | None, series: str | None, *, header_only: bool = False) -> Volume:
+def _read(
+    path: PathLike, layout: RawLayout | None, series: str | None, irregular: str | None, *, header_only: bool = False
+) -> Volume:
     form = "raw" if layout is not None else _format(path)
     if form == "raw":
         return raw.read_dat(path) if layout is None and suffix_of(path) == ".dat" else raw.read(path, layout)
@@ -75,7 +84,7 @@ def _read(path: PathLike, layout: RawLayout | None, series: str | None, *, heade
     if form == "DICOM":
         from supple.media.volume import dicom
 
-        return dicom.read(path, series)
+        return dicom.read(path, series, irregular)
     if form == "NIfTI":
         from supple.media.volume import nifti
 
@@ -185,7 +194,9 @@ def write(path: PathLike, samples: Array, like: Volume, *, force: bool = False) 
     itk.write(path, meant, like, force=force)
 
 
-def info(path: PathLike, *, raw: RawLayout | None = None, series: str | None = None) -> dict[str, object]:
+def info(
+    path: PathLike, *, raw: RawLayout | None = None, series: str | None = None, irregular: str | None = None
+) -> dict[str, object]:
     """Return the facts on a volume.
 
     Returns
@@ -209,7 +220,7 @@ def info(path: PathLike, *, raw: RawLayout | None = None, series: str | None = N
                 for k, one in enumerate(found, 1)
             ]
             return {"format": "DICOM", "series": kinds}
-    volume = read(path, raw=raw, series=series)
+    volume = read(path, raw=raw, series=series, irregular=irregular)
     samples, geometry = volume.samples, volume.geometry
     low, high, nans = _range(samples) if samples.nbytes <= _QUICK else (None, None, None)
     unit = {}

@@ -40,6 +40,7 @@ class Volume:
     scaling: tuple[float, float] = (1.0, 0.0)  # the values are slope * samples + intercept
     interval: float = 1.0  # seconds between the volumes of a series
     regridded: bool = False  # whether the samples and the geometry are not those of the header
+    resampled: str = ""  # how they were resampled when they were read, for what is derived from them
 
     @property
     def sizes(self) -> tuple[int, int, int]:
