@@ -1207,7 +1207,8 @@ class Deformation:
             )
         else:
             made, certificate = warp_array(source, space, sampling, alpha=alpha, clamp=clamp, device=device, out=out)
-        warn_of(certificate, sampling.tolerance, 3)
+        unit = "voxels" if self.ndim == 3 and not self.domain.time else "px"
+        warn_of(certificate, sampling.tolerance, 3, unit=unit)
         return made
 
     def report(self, *, tolerance: float = 0.01, plane: int | None = None, grid: Grid | None = None) -> Report:

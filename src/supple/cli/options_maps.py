@@ -316,7 +316,8 @@ class Maps:
 
         if not self._entries:
             return job
-        if (own := job.medium.grid) is not None:
+        own = job.medium.grid
+        if own is not None and any(each.map.ndim != own.ndim for each in self.read(own)):
             job = replace(job, maps=self.read(own))  # by which pages may become a volume
             own = job.medium.grid
         if own is None:

@@ -94,9 +94,11 @@ def refer(console: Console, job: Job, maps: Maps) -> Job:
 
     if not maps:
         return job
-    job = replace(job, maps=maps.read(open_source(job).grid))
-    maps.on(console, open_source(job).grid, shown(job.source), job.grid)
-    return job
+    grid = open_source(job).grid
+    job = replace(job, maps=maps.read(grid))
+    if any(each.map.ndim != grid.ndim for each in job.maps):  # by which pages may become a volume
+        grid = open_source(job).grid
+    return replace(job, maps=maps.on(console, grid, shown(job.source), job.grid))
 
 
 def _pair(paths: Sequence[str]) -> tuple[str, str]:

@@ -203,7 +203,12 @@ def certificate_of_status(status: npt.NDArray[np.uint8]) -> Certificate:
 
 
 def warn_of(
-    certificate: Certificate, tolerance: float, stacklevel: int, folds: str = "", field_name: str = "a field"
+    certificate: Certificate,
+    tolerance: float,
+    stacklevel: int,
+    folds: str = "",
+    field_name: str = "a field",
+    unit: str = "px",
 ) -> None:
     """Warn if a map may be less accurate than the tolerance, or has folds or gaps.
 
@@ -232,7 +237,7 @@ def warn_of(
         )
     if not certificate.unknown and not certificate.error <= 1.01 * tolerance + FINEST:
         warnings.warn(
-            f"the map may be off by {certificate.error:.2g} px somewhere, more than the tolerance {tolerance:g}: "
+            f"the map may be off by {certificate.error:.2g} {unit} somewhere, more than the tolerance {tolerance:g}: "
             "use a larger radius, a shorter drag or a larger tolerance",
             ToleranceWarning,
             stacklevel=stacklevel,

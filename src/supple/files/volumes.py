@@ -404,7 +404,7 @@ def _written(volume: Volume, like: Volume, job: Job, space: Space, sampling: Sam
             if job.clamp is not False and not space.is_identity:
                 clamp_to(series, out, sampling)
             # before the target is renamed
-            warn_of(certificate, sampling.tolerance, 4, folds_of(job.maps), only_name(job.maps))
+            warn_of(certificate, sampling.tolerance, 4, folds_of(job.maps), only_name(job.maps), "voxels")
             tell("write", 0, 1)
             write(target, out if volume.series else out[0], like, force=force)
     return certificate
