@@ -75,17 +75,12 @@ def draw_volume(
     places = part.positions(index.reshape(-1, 3).astype(np.float64))
     points = deformation.inverse(deformation.grid.indices(places)).points
     source = deformation.grid.positions(points)
-    made = _figure(
-        deformation, what, seen, _of_slice(seen, slab.mean(axis=3) if slab.ndim > 3 else slab),
-        _of_slice(seen, (own.indices(source) * own.spacing).reshape(index.shape)), points, own,
-    )  # fmt: skip
+    picture = seen.seen(slab.mean(axis=3) if slab.ndim > 3 else slab, 0)
+    lines = seen.seen((own.indices(source) * own.spacing).reshape(index.shape), 0)
+    made = _figure(deformation, what, seen, picture, lines, points, own)
     far = float(np.linalg.norm(source - places, axis=1).max())
     title(made, f"{name}: {seen.text}\ndisplacement on it up to {far:.3g} mm")
     save(made, path, force=force)
-
-
-def _of_slice(plane: planes.Plane, values: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    return plane.seen(values, 0)
 
 
 def _figure(
@@ -120,7 +115,7 @@ def _figure(
         text = f"Planes of the input every {step:g} mm, as the output shows them"
     else:
         volumes = np.linalg.det(deformation.jacobian(points)).reshape(plane.part.shape)
-        values = np.log(np.maximum(_of_slice(plane, volumes), 1e-6))
+        values = np.log(np.maximum(plane.seen(volumes, 0), 1e-6))
         reach = max(float(np.percentile(np.abs(values), 99.5)), 0.02)
         drawn = axes.imshow(
             values, extent=box, norm=TwoSlopeNorm(0.0, -reach, reach), cmap="RdBu_r", alpha=0.7, interpolation="nearest"
