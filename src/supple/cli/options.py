@@ -397,8 +397,8 @@ class VolumeArguments:
             spacing = (1.0, 1.0, 1.0) if self.spacing is None else parse_three("--spacing", self.spacing)
             layout = RawLayout(sizes, self.dtype, spacing)  # type: ignore[arg-type]
         return Reading(
-            world=self.world, labels=labels, save_field=save_field, layout=layout, series=self.series,
-            irregular=self.irregular,
+            world=self.world, labels=labels == "nearest" or labels, save_field=save_field, layout=layout,
+            series=self.series, irregular=self.irregular,
         )  # fmt: skip
 
     def place_of(self, path: str) -> str | None:
