@@ -100,7 +100,7 @@ class VolumeOptions:
 
     def __post_init__(self) -> None:
         if not isinstance(self.labels, bool) and self.labels not in ("nearest", "smooth"):
-            refuse("labels", 'True, False, "nearest" or "smooth"', self.labels)
+            refuse("labels", '"nearest" or "smooth", or a flag', self.labels)
 
     @property
     def label_filter(self) -> str:
