@@ -74,6 +74,7 @@ def parts(here: Path, runs: int, quick: bool) -> tuple[dict[str, Part], dict[str
         "certified": video.certified,
         "volume-more": lambda: volume.more_warps(some, (128,) if quick else (128, 256)),
         "inverted": lambda: volume.inverted_fields(few, 64 if quick else 128),
+        "points": lambda: volume.registered_points(some),
         "grain": volume.grain,
         "volume-memory": lambda: volume.memory(here, quick),
     }

@@ -1,9 +1,11 @@
 """Make the pictures of the README and the documentation, in docs/images.
 
-python docs/make_images.py [how-to] [augmentation] [labels] [colours] [straightened]     all, or some
+python docs/make_images.py [how-to] [augmentation] [labels] [smooth] [planes] [colours] [straightened]     all, or some
 
 The wall needs scikit-image.
 """
+
+from __future__ import annotations
 
 import contextlib
 import io
@@ -24,6 +26,8 @@ from scipy import ndimage
 
 import supple
 from supple.augment import RandomElastic, apply
+from supple.files.options import VolumeOptions
+from supple.files.plots import plot_file
 from supple.files.tracks import follow_tracks
 from supple.files.volumes import open_volume
 from supple.media import image
@@ -338,6 +342,32 @@ def labelled(folder: Path) -> None:
     side_by_side(folder / "labels.webp", [shown(pixels, 1.0) for pixels in pictures])
 
 
+def kept_labels(folder: Path) -> None:
+    """A slice of the parts of the head, pulled and resampled to a fifth of the spacing: nearest, and smooth."""
+    labels = parts_of_head()
+    grid = supple.Grid(labels.shape, (2.0, 2.0, 2.0))
+    d = supple.Deformation(grid).grab((45, 60, 45), by=(9, 5, 0), radius=24)
+    fine = grid.resampled((0.4, 0.4, 2.0)).crop((130, 190, 45), (210, 210, 1))
+    colours = np.array([(0, 0, 0), *(palette(k) for k in range(1, 6))])
+    made = [
+        np.rint(255 * colours[d.warp(labels, filter=name, grid=fine)[0]]).astype(np.uint8)
+        for name in ("nearest", "labels")
+    ]
+    side_by_side(folder / "labels-smooth.webp", [shown(pixels, 2, "nearest") for pixels in made])
+
+
+def planes_drawn(folder: Path) -> None:
+    """A plane of the head whose forehead is pressed in, as supple plot draws it."""
+    stroke = supple.Stroke.grab((0, 71, 53), to=(0, 59, 49), radius=40)
+    with tempfile.TemporaryDirectory() as place:
+        png = Path(place) / "plot.png"
+        options = VolumeOptions(world=True)
+        plot_file(DATA / "head.nii.gz", png, supple.Recipe(strokes=(stroke,)), volume=options, plane="sagittal:0")
+        pyvips.Image.new_from_file(str(png)).flatten(background=WHITE).resize(0.6).webpsave(
+            folder / "plot-volume.webp", Q=80, effort=6, keep="none"
+        )
+
+
 def tinted(folder: Path) -> None:
     """The head in colours of tissue, cut open, and bent."""
     head, brain = (open_volume(DATA / f"{name}.nii.gz") for name in ("head", "brain"))
@@ -553,7 +583,14 @@ def main() -> None:
     """Make all pictures."""
     folder = HERE / "images"
     folder.mkdir(exist_ok=True)
-    pages = {"how-to": how_to, "augmentation": augmented, "labels": labelled, "colours": tinted}
+    pages = {
+        "how-to": how_to,
+        "augmentation": augmented,
+        "labels": labelled,
+        "smooth": kept_labels,
+        "planes": planes_drawn,
+        "colours": tinted,
+    }
     pages["straightened"] = straightened
     for page in sys.argv[1:] or pages:
         pages[page](folder)

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from supple import _core
-from supple.engine import core
+from supple.engine import core, labels
 from supple.engine.devices import check_gradients, is_on_device
 from supple.engine.sampling import DEFAULT, Certificate, Sampling, SamplingFields, warn_of
 from supple.engine.stream import make_plan, stream
@@ -91,7 +91,9 @@ def warp_array(
         result[...] = held
         return result, Certificate(0.0, 0.0)
     own = held
-    if gaps := sampling.filter != "nearest" and held.dtype.kind == "f" and _has_gaps(held):
+    if sampling.filter == "labels" and held.dtype.kind == "f" and _has_gaps(held):
+        refuse("source", "an array of labels, which are finite", told="NaN or infinity")
+    if gaps := not sampling.keeps_values and held.dtype.kind == "f" and _has_gaps(held):
         own = np.where(np.isfinite(held), held, held.dtype.type(0))
     axes = len(space.whole)
     frames, planes = (a if a.ndim > axes else a[..., None] for a in (own, result))
@@ -101,6 +103,8 @@ def warp_array(
         from supple.cuda import large
 
         certificate = large.sample(work, frames, planes, tell)
+    elif sampling.filter == "labels":
+        certificate = labels.sample(work, [frames], [planes], tell)
     elif given is not None and made is not None and sampling.between_frames != "flow":
         certificate = core.sample(work, [given], [made], tell)
     else:
@@ -202,7 +206,7 @@ def warp_picture(
                 clamp_to(before, after, how)  # each page by itself
         return np.asarray(made)
 
-    averaged = sampling.filter != "nearest" and not space.is_identity
+    averaged = not sampling.keeps_values and not space.is_identity
     return picture.warped(warp, regridded=regridded, averaged=averaged, name=name), found
 
 

@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from supple.deformation import Deformation
+from supple.engine import labels
 from supple.engine.core import needed, sample, working_dtype
 from supple.engine.sampling import Certificate, Sampling
 from supple.engine.work import Array, Space, work_of
@@ -176,7 +177,10 @@ class Warp:
         outs = [planes.view(kind) if part.dtype == np.bool_ else planes for planes in _planes(result, n)]
         buffers = [out if out.dtype == kind and out.dtype.isnative else np.empty(out.shape, kind) for out in outs]
         corner = (block.part[-1][0], block.part[-2][0], block.part[0][0] if n == 3 else 0)
-        sample(work, frames, buffers, corner=corner, copied=block.copied)
+        if self.sampling.filter == "labels":
+            labels.sample(work, frames, buffers, corner=corner)
+        else:
+            sample(work, frames, buffers, corner=corner, copied=block.copied)
         for out, one in zip(outs, buffers, strict=True):
             if out is not one:
                 with np.errstate(over="ignore"):

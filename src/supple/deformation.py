@@ -73,6 +73,27 @@ class Inverse:
     converged: npt.NDArray[np.bool_]
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Certified:
+    """Points that went through a map, and how accurate each is.
+
+    Parameters
+    ----------
+    points : float64 array, shape (..., D)
+        The points, in pixels, x first.
+    error : float64 array, shape (...)
+        A bound on the distance of each from where the map leads, in physical units (samples times spacing): of what is
+        solved, four times the Newton step that is left, stretched by the maps after it; and rounding. inf where no
+        solution was found.
+    converged : bool array, shape (...)
+        Whether a solution was found.
+    """
+
+    points: Floats
+    error: Floats
+    converged: npt.NDArray[np.bool_]
+
+
 @dataclass(frozen=True, slots=True)
 class Arrival:
     """The target of a stroke's point, and its actual position. All points are in samples, x first.
@@ -887,6 +908,25 @@ class Deformation:
         warn_of(certificate, 1.0, 3)
         return Inverse(*found)
 
+    def certified(self, points: npt.ArrayLike, *, inverse: bool = False) -> Certified:
+        """Return T of points, or T⁻¹, with a bound on the error of each.
+
+        Parameters
+        ----------
+        points : array_like, shape (..., D)
+            In pixels, x first.
+        inverse : bool
+            Whether to apply T⁻¹.
+
+        Warns
+        -----
+        FoldWarning, OutsideWarning
+            If a field that has to be inverted folds at some of the points, or no point of its grid leads to them.
+        """
+        found, certificate = core.certified(self.space, points, back=flag("inverse", inverse))
+        warn_of(certificate, 1.0, 3)
+        return Certified(*found)
+
     def inverse_map(self, *, tolerance: float = 0.01, like: Any = None) -> npt.NDArray[np.float32]:
         """Return the source point of every output pixel.
 
@@ -1009,7 +1049,8 @@ class Deformation:
             )
         else:
             made, certificate = warp_array(source, space, sampling, alpha=alpha, clamp=clamp, device=device, out=out)
-        warn_of(certificate, sampling.tolerance, 3)
+        unit = "voxels" if self.ndim == 3 and not self.domain.time else "px"
+        warn_of(certificate, sampling.tolerance, 3, unit=unit)
         return made
 
     def report(self, *, tolerance: float = 0.01, plane: int | None = None, grid: Grid | None = None) -> Report:

@@ -235,3 +235,30 @@ def test_the_padding_of_dicom_lies_outside(tmp_path: Path) -> None:
     assert background_of(volume) == -1000.0
     assert background_of(volume, labels=True) == 0.0
     assert background_of(replace(volume, format="NIfTI")) == 40.0
+
+
+def test_labels_are_those_of_the_largest_share_or_the_nearest(run: Run) -> None:
+    rng = np.random.default_rng(2)
+    labels = (gaussian_filter(rng.normal(size=(4, *SHAPE)), (0, 2, 2, 2)).argmax(axis=0) * 11).astype(np.uint8)
+    media.write("regions.nii.gz", labels, media.Volume(labels, PLACE))
+    d = Deformation(media.outline_of("regions.nii.gz").grid).grab((11, 12, 10), to=(13, 12, 10), radius=20)
+    for words, name in ((("--labels", "smooth"), "labels"), (("--labels", "nearest"), "nearest")):
+        status, _, err = run("warp", "regions.nii.gz", f"{name}.nii.gz", *STROKE, *words)
+        assert status == 0, err
+        assert "mixed" not in err
+        np.testing.assert_array_equal(media.read(f"{name}.nii.gz").samples, d.warp(labels, filter=name))
+    assert run("warp", "--labels", "regions.nii.gz", "bare.nii.gz", *STROKE)[0] == 0
+    np.testing.assert_array_equal(media.read("bare.nii.gz").samples, media.read("nearest.nii.gz").samples)
+    assert (media.read("bare.nii.gz").samples != media.read("regions.nii.gz").samples).any()
+    zarr = pytest.importorskip("zarr")
+    for source, target in (("regions.nii.gz", "labels.zarr"), ("labels.zarr", "again.zarr")):
+        assert run("warp", source, target, *STROKE, "--labels", "smooth")[0] == 0
+    first, second = (zarr.open(name) for name in ("labels.zarr", "again.zarr"))
+    found = [each["0"] if hasattr(each, "keys") else each for each in (first, second)]
+    np.testing.assert_array_equal(found[0][...], d.warp(labels, filter="labels"))
+    np.testing.assert_array_equal(found[1][...], d.warp(found[0][...], filter="labels"))
+    status, _, err = run("warp", "regions.nii.gz", "no.nii.gz", *STROKE, "--labels", "smooth", "--filter", "linear")
+    assert (status, err) == (
+        2,
+        'supple: --labels needs filter "auto", which keeps values as they are, found "linear"\n',
+    )

@@ -437,7 +437,7 @@ REFUSED: dict[str, list[tuple[str, str]]] = {
         ("warp photo.png out.png --grab 1,1:2,2 --radius 3 --save-field f.nii", "--save-field is for volumes"),
         ("warp photo.png out.png --grab 1,1:2,2 --radius 3 --world", "--world is for volumes"),
         ("warp in.nii out.nii --grab 1,1:2,2 --radius 3", "three numbers"),
-        ("plot in.nii out.png DRAG", "supple render shows it"),
+        ("plot in.nii out.png DRAG --what residual", "draw grid or stretch"),
         ("render in.nii out.png --time 1", "--time is for series"),
         ("warp stack.tif o.tif DRAG --world", "stack.tif does not know where it lies in space: leave --world out"),
         ("points p.fcsv q.fcsv --on stack.tif DRAG", "does not know where it lies in space"),

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from supple import Deformation, SuppleError
+from supple import Deformation, SuppleError, ToleranceWarning
+from supple.engine.sampling import Certificate
 from tests import effort
 from tests.engine.arrays import CLIP, FILTERS, IMAGE, RULES, bent, hurried, noise, same
 
@@ -224,3 +225,12 @@ def test_a_result_is_written_where_it_can_be(shape: Shape) -> None:
     with pytest.raises(SuppleError, match="read-only"):
         bent(shape).warp(GOOD[shape], out=frozen)
     np.testing.assert_array_equal(bent(shape).warp(GOOD[shape].tolist()), 0)  # what NumPy makes an array of will do
+
+
+@pytest.mark.parametrize(("shape", "unit"), [((30, 40), "px"), ((12, 30, 40), "voxels")])
+def test_what_is_off_is_told_in_the_samples_of_its_kind(
+    monkeypatch: pytest.MonkeyPatch, shape: tuple[int, ...], unit: str
+) -> None:
+    monkeypatch.setattr("supple.arrays.warp_array", lambda source, *_, **__: (source, Certificate(0.5, 1.0)))
+    with pytest.warns(ToleranceWarning, match=rf"^the map may be off by 0.5 {unit} somewhere"):
+        Deformation(shape).warp(np.zeros(shape, np.float32))

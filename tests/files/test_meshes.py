@@ -51,7 +51,7 @@ def test_a_mesh_moves_by_t_and_back(tmp_path: Path, kind: str) -> None:
     before, after = made.read(source), made.read(names[0])
     assert moved.count == 86
     assert moved.displaced.max() > 3
-    assert moved.residual.max() < 1e-5
+    assert moved.error.max() < 1e-5
     np.testing.assert_allclose(made.points(after), there(made.points(before)), atol=3e-6)
     assert made.faces(after) == made.faces(before)
     move_points(names[0], names[1], bent(), place(), inverse=True)
@@ -113,7 +113,7 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
     source = made.write(tmp_path / "skull.ply", made.surface((x, y, z), 10))
     grab = ("--grab", "0,51,53:0,47,50", "--radius", "40", "--world")
     assert command(["points", str(source), str(tmp_path / "out.ply"), "--on", str(DATA / "head.nii.gz"), *grab]) == 0
-    assert capsys.readouterr().out.startswith("86 points, moved by up to 4.82 mm; residual up to ")
+    assert capsys.readouterr().out.startswith("86 points, moved by up to 4.82 mm; error up to ")
     after = made.points(made.read(tmp_path / "out.ply"))
     assert np.linalg.norm(after - made.points(made.read(source)), axis=1) == pytest.approx(5, abs=0.7)
 

@@ -31,7 +31,7 @@ class TestSlicersLists:
         file = read(tmp_path, text, "in.fcsv")
         np.testing.assert_array_equal(file.points, [[1, 2, 3], [4, 5, 6]])
         assert (file.convention, file.labels, file.kind) == (convention, ("F-0", "F-1"), "fcsv")
-        out = rewritten(tmp_path, file, [[1, 2, 3.5], [4, 5, 6]], residual=[9, 9])
+        out = rewritten(tmp_path, file, [[1, 2, 3.5], [4, 5, 6]], notes=("error_mm", np.full(2, 9.0)))
         assert out == text.replace("3.0,0,", "3.5,0,")
 
     def test_old_files(self, tmp_path: Path) -> None:

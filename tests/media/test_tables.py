@@ -50,15 +50,15 @@ class TestTables:
         out = rewritten(tmp_path, file, [[1.5, 0.1], [1 / 3, 4]])
         assert out == '\ufeff# a, "b\r\n"id";"x"; "y";note\r\n1;" 1.50";0.1;x, y\r\n\r\nb;0.3333333333333333;+4;"é"\n'
 
-    def test_residuals(self, tmp_path: Path) -> None:
+    def test_notes(self, tmp_path: Path) -> None:
         for text, expected in {
-            "x,y\n1,2\n3,4": "x,y,residual\n1,2,0.5\n3,4,1.23e-07",
-            "x;Residual;y\n1;old;2\n3;;4\n": "x;Residual;y\n1;0.5;2\n3;1.23e-07;4\n",
-            "# x\ty\n1\t2\n3\t4\n": "# x\ty\tresidual\n1\t2\t0.5\n3\t4\t1.23e-07\n",
+            "x,y\n1,2\n3,4": "x,y,error_mm\n1,2,0.5\n3,4,1.23e-07",
+            "x;Error_mm;y\n1;old;2\n3;;4\n": "x;Error_mm;y\n1;0.5;2\n3;1.23e-07;4\n",
+            "# x\ty\n1\t2\n3\t4\n": "# x\ty\terror_mm\n1\t2\t0.5\n3\t4\t1.23e-07\n",
             "1,2\r\n# c\r\n3,4\r\n": "1,2,0.5\r\n# c\r\n3,4,1.23e-07\r\n",
         }.items():
-            file = read(tmp_path, text)
-            assert rewritten(tmp_path, file, file.points, residual=[0.5, 1.2345e-7]) == expected
+            file, notes = read(tmp_path, text), ("error_mm", np.array([0.5, 1.2345e-7]))
+            assert rewritten(tmp_path, file, file.points, notes=notes) == expected
 
     def test_bytes_that_are_not_utf8_come_through(self, tmp_path: Path) -> None:
         (tmp_path / "in.csv").write_bytes(b"name,x,y\nM\xfcller,1,2\n")

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.ndimage import gaussian_filter
 
 from supple import Field, Grid, SuppleError
 from supple.plot import fields as drawn
@@ -54,16 +55,17 @@ def test_without_folds_the_middle_is_shown() -> None:
     made = figure(smooth(size=0.5))
     assert len(titles(made)) == 2
     assert labels(made) == ["grid at rest", "moved"]
-    assert "none of 2,464 cells folds; slice 5 (of 0 to 11)" in made._suptitle.get_text()
+    assert "none of 2,464 cells folds; axial slice 5 (of 0 to 11), at S 44.81 mm" in made._suptitle.get_text()
     (_, shown, *_) = made.axes
-    np.testing.assert_array_equal(shown.images[0].get_array(), smooth(size=0.5).log_jacobian()[5])
+    logarithms = smooth(size=0.5).log_jacobian()[5]
+    np.testing.assert_array_equal(shown.images[0].get_array(), logarithms[::-1])  # whose second axis leads to A
 
 
 def test_the_grid_is_drawn_along_its_own_axes() -> None:
-    """A displacement along the second axis of a turned grid moves the lines down."""
+    """A displacement along the second axis of a turned grid, which leads to A, moves the lines up."""
     values = np.broadcast_to(2.5 * np.array(GRID.direction)[:, 1], (*GRID.shape, 3))
     seen = drawn._slice(Field(values, GRID), GRID, np.zeros((11, 16, 14), bool), np.zeros(GRID.shape, "f4"), None)
-    np.testing.assert_allclose(seen.moved - seen.rest, np.broadcast_to((0, 2.5), seen.rest.shape), atol=1e-12)
+    np.testing.assert_allclose(seen.moved - seen.rest, np.broadcast_to((0, -2.5), seen.rest.shape), atol=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -83,6 +85,24 @@ def test_any_shape_is_drawn(tmp_path: Path, shape: tuple[int, ...], size: float,
     path = tmp_path / f"p{suffix}"
     draw_check(field, report, folded, logarithms, distances, path)
     assert path.stat().st_size > 5000
+
+
+def test_a_fifth_that_folds_leaves_the_rest_to_be_seen() -> None:
+    rng = np.random.default_rng(1)
+    waves = np.stack([gaussian_filter(rng.normal(size=(30, 60, 60)), 4) for _ in range(3)], axis=-1)
+    field = Field((9 / waves.std() * waves).astype(np.float32), Grid((30, 60, 60), (2.0, 2.0, 2.0)))
+    assert 0.15 < field.folded_cells().mean() < 0.4
+    made = figure(field)
+    jacobian = next(axes for axes in made.axes if axes.get_title(loc="left").startswith("ln det"))
+    jacobian.set(xticks=(), yticks=())
+    made.canvas.draw()
+    pixels = np.asarray(made.canvas.buffer_rgba())[..., :3].astype(int)
+    box = jacobian.get_window_extent()
+    part = pixels[len(pixels) - int(box.y1) : len(pixels) - int(box.y0), int(box.x0) : int(box.x1)]
+    marked = np.abs(part - (240, 200, 0)).max(axis=2) < 90  # outlines
+    black = part.max(axis=2) < 30  # their halos
+    assert 0.001 < marked.mean() < 0.08
+    assert black.mean() < 0.02
 
 
 def test_equal_checks_are_equal_pictures_and_are_kept(tmp_path: Path) -> None:

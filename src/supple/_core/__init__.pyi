@@ -77,7 +77,12 @@ Part = tuple[Literal["strokes", "affine", "field"], Floats | tuple[Floats, Float
 class Composite:
     def __init__(self, ndim: int, axes: Floats, parts: Sequence[Part], freeze: Freeze | None = None) -> None: ...
     def through(
-        self, points: Floats, backwards: bool, jacobian: bool, status: npt.NDArray[np.uint8]
+        self,
+        points: Floats,
+        backwards: bool,
+        jacobian: bool,
+        status: npt.NDArray[np.uint8],
+        errors: Floats | None = None,
     ) -> tuple[Floats, Floats | None, Floats]: ...
 
 # ---- planes

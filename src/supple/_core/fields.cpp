@@ -32,10 +32,76 @@ nb::object owned(std::vector<double>* made, std::initializer_list<size_t> shape)
     return nb::cast(nb::ndarray<nb::numpy, double>(made->data(), shape, owner));
 }
 
-// Points (N, 3) through a composite: the points, the derivatives or none, and which are solved, within, and upright.
+constexpr double ROUNDING = 0x1p-48;  // of a number that a part computes, relative to what it is computed from
+
+// A bound of the rounding of a part, from the sizes of the numbers in it.
+template <int D>
+double rounding_of(const Part& part, const Axis* axes) {
+    double size = 0;
+    for (int d = 0; d < D; d++) {
+        size += fabs(axes[d].first) + fabs(axes[d].last);
+        if (part.kind == AFFINE) size += fabs(part.there[d][3]) + fabs(part.back[d][3]);
+        for (int j = 0; part.kind == FIELD && j < D; j++)
+            size += fabs(part.field.to_place[d][j] * part.field.to_index[j][3]);
+    }
+    return ROUNDING * size * (1 + (part.kind == STROKES ? part.chain.count : 0) / 16.0);
+}
+
+// Send points through one part after the other. The error of a part that is solved, G(x) = y, is bounded by four times
+// the Newton step from there, (∂G/∂x)⁻¹ (G(x) - y), as in `invert_row`; later parts stretch it by the norms of their
+// Jacobians. What is computed has a rounding, too.
+template <int D>
+Passed<Lanes> pass_with_error(const Composite& map, bool backwards, const double* rounding,
+                              Jet<D, D, false, Lanes>& jet, Lanes& error) {
+    const Mask all = Mask{} == 0;
+    Passed<Lanes> passed{all, all, all, Lanes{}};
+    error = Lanes{};
+    for (int n = 0; n < map.count; n++) {
+        const int which = backwards ? map.count - 1 - n : n;
+        Composite one = map;
+        one.parts += which;
+        one.count = 1;
+        Jet<D, D, false, Lanes> own;
+        Jet<D, 0, false, Lanes> again;
+        for (int d = 0; d < D; d++) {
+            own.x[d] = jet.x[d];
+            for (int j = 0; j < D; j++) own.t[j][d] = splat<Lanes>(d == j);
+        }
+        const Passed<Lanes> through = pass<D>(one, backwards, own);
+        passed.done = both(passed.done, through.done);
+        passed.within = both(passed.within, through.within);
+        passed.upright = both(passed.upright, through.upright);
+        passed.steps += through.steps;
+        Lanes norm2{}, off[D], step2{}, size{};
+        for (int d = 0; d < D; d++) {
+            again.x[d] = own.x[d];
+            size += magnitude(jet.x[d]) + magnitude(own.x[d]);
+            for (int j = 0; j < D; j++) norm2 += own.t[j][d] * own.t[j][d];
+        }
+        const Lanes norm = root(norm2);
+        error *= norm;
+        if (one.parts->kind != AFFINE && one.parts->inverted != backwards) {
+            pass<D>(one, !backwards, again);
+            for (int d = 0; d < D; d++) off[d] = again.x[d] - jet.x[d];
+            for (int d = 0; d < D; d++) {
+                const Lanes v = times<D>(own.t, off, d);
+                step2 += v * v;
+            }
+            error += 4.0 * root(step2);
+        }
+        error += (1.0 + norm) * (rounding[which] + ROUNDING * size);
+        for (int d = 0; d < D; d++) jet.x[d] = own.x[d];
+    }
+    return passed;
+}
+
+// Points (N, 3) through a composite: the points, the derivatives or none, bounds on their errors or none, and which are
+// solved, within, and upright.
 template <int D>
 void pass_points(const Composite& map, bool backwards, const double* from, size_t count, double* to, double* matrices,
-                 uint8_t* status, double* steps) {
+                 double* errors, uint8_t* status, double* steps) {
+    std::vector<double> rounding;
+    for (int n = 0; errors && n < map.count; n++) rounding.push_back(rounding_of<D>(map.parts[n], map.axes));
     constexpr size_t TOGETHER = 256;
     parallel((int)((count + TOGETHER - 1) / TOGETHER), [&](int item, int) {
         size_t first = (size_t)item * TOGETHER, end = std::min(first + TOGETHER, count);
@@ -46,8 +112,11 @@ void pass_points(const Composite& map, bool backwards, const double* from, size_
                 for (int l = 0; l < LANES; l++) jet.x[d][l] = from[3 * (start + std::min(l, n - 1)) + d];
                 for (int j = 0; j < D; j++) jet.t[j][d] = splat<Lanes>(d == j);
             }
-            Passed<Lanes> passed = pass<D>(map, backwards, jet);
+            Lanes error{};
+            const Passed<Lanes> passed =
+                errors ? pass_with_error<D>(map, backwards, rounding.data(), jet, error) : pass<D>(map, backwards, jet);
             for (int l = 0; l < n; l++) {
+                if (errors) errors[start + l] = passed.done[l] ? error[l] : std::numeric_limits<double>::infinity();
                 for (int d = 0; d < D; d++) {
                     to[3 * (start + l) + d] = jet.x[d][l];
                     for (int j = 0; matrices && j < D; j++) matrices[9 * (start + l) + 3 * d + j] = jet.t[j][d][l];
@@ -60,9 +129,11 @@ void pass_points(const Composite& map, bool backwards, const double* from, size_
 }
 
 nb::object through(const AnyComposite& map, const Doubles& points, bool backwards, bool jacobian,
-                   nb::ndarray<uint8_t, nb::ndim<1>, nb::c_contig, nb::device::cpu> status) {
-    if (points.shape(1) != 3 || status.shape(0) != points.shape(0))
-        throw nb::value_error("points must have the shape (N, 3), and status (N,)");
+                   nb::ndarray<uint8_t, nb::ndim<1>, nb::c_contig, nb::device::cpu> status,
+                   std::optional<nb::ndarray<double, nb::ndim<1>, nb::c_contig, nb::device::cpu>> errors) {
+    if (points.shape(1) != 3 || status.shape(0) != points.shape(0) ||
+        (errors && (jacobian || errors->shape(0) != points.shape(0))))
+        throw nb::value_error("points must have the shape (N, 3), and status and errors (N,), without derivatives");
     size_t count = points.shape(0);
     auto *moved = new std::vector<double>(points.data(), points.data() + 3 * count),
          *steps = new std::vector<double>(count);
@@ -72,7 +143,7 @@ nb::object through(const AnyComposite& map, const Doubles& points, bool backward
     auto run = map.ndim == 2 ? pass_points<2> : pass_points<3>;
     unlocked([&] {
         run(*map.held, backwards, points.data(), count, moved->data(), matrices ? matrices->data() : nullptr,
-            status.data(), steps->data());
+            errors ? errors->data() : nullptr, status.data(), steps->data());
     });
     return nb::make_tuple(first, second, third);
 }
@@ -358,8 +429,10 @@ void bind_fields(nb::module_& m) {
             },
             "ndim"_a, "axes"_a, "parts"_a, "freeze"_a = nb::none())
         .def("through", &through, "points"_a, "backwards"_a, "jacobian"_a, "status"_a.noconvert(),
+             "errors"_a.noconvert() = nb::none(),
              "Return points (N, 3) mapped by T or T⁻¹, the derivatives or None, and the evaluations; status: 1 folded, "
-             "2 outside, 4 unsolved.");
+             "2 outside, 4 unsolved. Without derivatives, a bound on the distance of each to where it belongs is "
+             "written to errors.");
 }
 
 }  // namespace supple

@@ -164,6 +164,8 @@ def _dispatch(arguments: Sequence[str]) -> None:
     arguments = [STREAM if argument == "-" else argument for argument in arguments]
     if STREAM in arguments and arguments[0] not in ("warp", "info", "points"):
         raise SuppleError("- for standard input or output is for warp, info and points: give the name of a file")
+    words = zip(arguments, [*arguments[1:], ""], strict=False)  # --labels alone takes no word, whatever follows
+    arguments = ["--labels=nearest" if a == "--labels" and b not in ("nearest", "smooth") else a for a, b in words]
     current().arguments = tuple(arguments)
     try:
         app(list(arguments), exit_on_error=False, print_error=False, verbose=False)

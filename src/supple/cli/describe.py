@@ -31,11 +31,13 @@ _MATRICES |= {9: "BT.2020", 10: "BT.2020 constant", 14: "ICtCp"}
 _TAGS = {"primaries": _PRIMARIES, "transfer": _TRANSFERS, "matrix": _MATRICES}
 
 
-def describe(name: str, *, layout: RawLayout | None = None, series: str | None = None) -> tuple[dict[str, Any], str]:
+def describe(
+    name: str, *, layout: RawLayout | None = None, series: str | None = None, irregular: str | None = None
+) -> tuple[dict[str, Any], str]:
     """Return the facts on a file, ready for JSON, and the same for people, on several lines.
 
-    ``layout`` and ``series`` are as in `supple.media.volume.read`. SuppleError if it is no picture, video, image
-    sequence, volume, Zarr store or recipe (.json).
+    ``layout``, ``series`` and ``irregular`` are as in `supple.media.volume.read`. SuppleError if it is no picture,
+    video, image sequence, volume, Zarr store or recipe (.json).
     """
     suffix = Path(name).suffix.lower()
     if suffix == ".json":
@@ -49,7 +51,7 @@ def describe(name: str, *, layout: RawLayout | None = None, series: str | None =
     if is_store(name) and layout is None:
         return _stored(name)
     if layout is not None or series is not None or volume.is_volume(name):
-        facts = volume.info(name, raw=layout, series=series)
+        facts = volume.info(name, raw=layout, series=series, irregular=irregular)
         if facts.get("format") == "NIfTI" and facts.get("components") == 3:
             facts |= _field(name)
         return {"file": name, "kind": "volume", **facts}, _volume(name, facts)

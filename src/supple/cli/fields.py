@@ -96,6 +96,7 @@ def check(
     source: Image = None,
     map: Output = None,
     picture: Output = None,
+    plane: Annotated[str | None, Parameter(group=WRITING, metavar="PLANE[:MM]")] = None,
     options: RunOptions = _RUN,
 ) -> None:
     """Check a displacement field: displacement, folds, and how well another one undoes it.
@@ -117,12 +118,15 @@ def check(
         determinant is not above 0; in NIfTI, where ITK reads NaN as 0, -3.4028235e38.
     picture
         Also draw a slice: the grid, the logarithm of the determinant and the folds (PNG, SVG or PDF).
+    plane
+        The slice of the picture, of a volume: axial, coronal or sagittal, perhaps at a place in millimetres in LPS, as
+        in axial:12.5 (default: the axial one with most folds).
     """
     console = _started(options, field)
     from supple.files.fields import check_file
 
     made = check_file(
-        field, inverse, convention=convention, image=source, map=map, picture=picture, force=options.force
+        field, inverse, convention=convention, image=source, map=map, picture=picture, plane=plane, force=options.force
     )
     _tell(console, options, made.facts, lambda: _checked(made))
 

@@ -349,6 +349,9 @@ class TrackOptions:
             )
 
 
+Labels = Annotated[bool | Literal["nearest", "smooth"], Parameter(group=VOLUME, metavar="[nearest|smooth]")]
+
+
 @Parameter(name="*", group=VOLUME)
 @dataclass(kw_only=True, eq=False, repr=False)
 class VolumeArguments:
@@ -358,9 +361,11 @@ class VolumeArguments:
     ----------
     world
         Points of strokes are in millimetres in the file's coordinate system (NIfTI: RAS; DICOM, NRRD and
-        MetaImage: LPS) instead of voxels.
+        MetaImage: LPS; .mgz: RAS) instead of voxels.
     series
         Which series to read from a DICOM folder with several: its number in the list, or its UID.
+    irregular
+        Accept DICOM slices that are missing, or unevenly spaced: resample interpolates them linearly, at even steps.
     shape
         Number of voxels along x, y and z, for a file without a header; needs --dtype.
     dtype
@@ -371,11 +376,12 @@ class VolumeArguments:
 
     world: bool = False
     series: Annotated[str | None, Parameter(metavar="N|UID")] = None
+    irregular: Literal["resample"] | None = None
     shape: Annotated[str | None, Parameter(metavar="X,Y,Z", allow_leading_hyphen=True)] = None
     dtype: Annotated[str | None, Parameter(metavar="TYPE")] = None
     spacing: Annotated[str | None, Parameter(metavar="X,Y,Z", allow_leading_hyphen=True)] = None
 
-    def to_reading(self, *, labels: bool = False, save_field: str | None = None) -> "Reading":
+    def to_reading(self, *, labels: bool | str = False, save_field: str | None = None) -> "Reading":
         """Return the options as the library takes them."""
         from supple.files.options import VolumeOptions as Reading
 
@@ -390,7 +396,10 @@ class VolumeArguments:
             sizes = tuple(int(n) if n.is_integer() else n for n in parse_three("--shape", self.shape))
             spacing = (1.0, 1.0, 1.0) if self.spacing is None else parse_three("--spacing", self.spacing)
             layout = RawLayout(sizes, self.dtype, spacing)  # type: ignore[arg-type]
-        return Reading(world=self.world, labels=labels, save_field=save_field, layout=layout, series=self.series)
+        return Reading(
+            world=self.world, labels=labels == "nearest" or labels, save_field=save_field, layout=layout,
+            series=self.series, irregular=self.irregular,
+        )  # fmt: skip
 
     def place_of(self, path: str) -> str | None:
         """Return the convention of a volume, as `Geometry` has it; None of anything else.

@@ -29,6 +29,8 @@ PathLike = str | os.PathLike[str]
 MAPS = Group("Fields and affine maps", sort_key=1.3)
 OUTPUT = Group("Output grid", sort_key=1.6)
 
+Reference = Annotated[str | None, Parameter(group=MAPS, metavar="FILE")]
+
 OTHERS = "--field FILE, --affine FILE, --crop BOX, --resample S, --reference FILE or "
 """What `supple warp` does without strokes."""
 
@@ -96,13 +98,14 @@ class MapOptions:
         strokes: "StrokeOptions",
         output: "OutputOptions | None" = None,
         *,
+        reference: str | None = None,
         points: bool = False,
     ) -> "Maps":
         """Return the maps among the strokes of a command line.
 
         ``recipe`` has the ``strokes`` of the command line after those of its file. ``output`` is the grid of the
-        output, of a command that writes on another one than the input's. With ``points``, --inverse before all maps is
-        about points, which are then moved back.
+        output, of a command that writes on another one than the input's; ``reference`` is the image on whose grid
+        others show what they do. With ``points``, --inverse before all maps is about points, which are then moved back.
         """
         from supple.cli.options_strokes import in_order
 
@@ -144,7 +147,7 @@ class MapOptions:
         for entry in entries:
             if entry.convention is not None and entry.is_numbers:
                 raise SuppleError(f"--convention is for files, and {entry.told} is none: leave it out")
-        return Maps(entries, output, back=back)
+        return Maps(entries, reference if output is None else output.reference, back=back)
 
 
 @Parameter(name="*")
@@ -254,16 +257,21 @@ class Maps:
     Of several inputs on one grid, files are read once.
     """
 
-    def __init__(self, entries: Sequence[_Entry], output: OutputOptions | None = None, *, back: bool = False) -> None:
+    def __init__(self, entries: Sequence[_Entry], reference: str | None = None, *, back: bool = False) -> None:
         self._entries = list(entries)
-        self._elsewhere = output is not None
-        self._reference = None if output is None else output.reference
+        self.reference = reference
         self.back = back
         self._lock = threading.Lock()
         self._known: tuple[Grid | None, list[tuple[list[Placed], str | None]]] | None = None
 
     def __bool__(self) -> bool:
         return bool(self._entries)
+
+    def output(self, source: "Grid") -> "Grid":
+        """Return the grid of the output, of an input on ``source``: that of the reference, or the same."""
+        from supple.files.grids import reference_grid
+
+        return source if self.reference is None else reference_grid(self.reference, source.ndim)
 
     @property
     def ndim(self) -> int | None:
@@ -279,21 +287,20 @@ class Maps:
 
     def _read(self, source: "Grid | None") -> "list[tuple[list[Placed], str | None]]":
         from supple.files import maps
-        from supple.files.grids import reference_grid
 
         with self._lock:
             if self._known is None or self._known[0] != source:
                 fixed, refused = None, None
                 try:
-                    if self._reference is not None and source is not None:
-                        fixed = reference_grid(self._reference, source.ndim)
+                    if self.reference is not None and source is not None:
+                        fixed = self.output(source)
                 except SuppleError as error:
                     refused = error  # unless it is not needed: pages become a volume by what the maps are
                 most = len(self._entries) - 1
                 ends = [(source if k == 0 else None, fixed if k == most else None) for k in range(most + 1)]
                 try:
                     read = [
-                        entry.read(*known, last=self._elsewhere and k == most)
+                        entry.read(*known, last=k == most)
                         for k, (entry, known) in enumerate(zip(self._entries, ends, strict=True))
                     ]
                 except SuppleError:
@@ -309,7 +316,8 @@ class Maps:
 
         if not self._entries:
             return job
-        if (own := job.medium.grid) is not None:
+        own = job.medium.grid
+        if own is not None and any(each.map.ndim != own.ndim for each in self.read(own)):
             job = replace(job, maps=self.read(own))  # by which pages may become a volume
             own = job.medium.grid
         if own is None:
@@ -337,12 +345,11 @@ class Maps:
         given unless it is of a size that occurs.
         """
         from supple.fields import Field
-        from supple.files.grids import reference_grid
 
         if source.ndim != 2:
             return
-        output = source if self._reference is None else reference_grid(self._reference, 2)
-        ends = {0: (source, name), len(self._entries): (output, shown(self._reference or name))}
+        output = self.output(source)
+        ends = {0: (source, name), len(self._entries): (output, shown(self.reference or name))}
         within: dict[int, list[tuple[_Entry, Grid]]] = {}
         for k, (entry, (placed, convention)) in enumerate(zip(self._entries, self._read(source), strict=True)):
             held = placed[0].map if placed else None

@@ -13,7 +13,7 @@ from cyclopts import Parameter
 
 from supple.cli.console import STREAM, Console, File, Terminated, about, current, one_line, say_convention
 from supple.cli.console import told as told_of
-from supple.cli.options import RUNNING, VOLUME, SamplingOptions, VolumeArguments, WorkerOptions
+from supple.cli.options import RUNNING, Labels, SamplingOptions, VolumeArguments, WorkerOptions
 from supple.cli.options_maps import (
     OTHERS,
     MapOptions,
@@ -94,9 +94,11 @@ def refer(console: Console, job: Job, maps: Maps) -> Job:
 
     if not maps:
         return job
-    job = replace(job, maps=maps.read(open_source(job).grid))
-    maps.on(console, open_source(job).grid, shown(job.source), job.grid)
-    return job
+    grid = open_source(job).grid
+    job = replace(job, maps=maps.read(grid))
+    if any(each.map.ndim != grid.ndim for each in job.maps):  # by which pages may become a volume
+        grid = open_source(job).grid
+    return replace(job, maps=maps.on(console, grid, shown(job.source), job.grid))
 
 
 def _pair(paths: Sequence[str]) -> tuple[str, str]:
@@ -176,7 +178,7 @@ def plan(
     maps: MapOptions = _MAPS,
     output: OutputOptions = _OUTPUT,
     sampling: SamplingOptions = _SAMPLING,
-    labels: Annotated[bool, Parameter(group=VOLUME)] = False,
+    labels: Labels = False,
     volume: VolumeArguments = _VOLUME,
     workers: WorkerOptions = _WORKERS,
     json: Annotated[bool, Parameter(group=RUNNING)] = False,

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 from cyclopts import Parameter
 
 from supple.cli.console import current
-from supple.cli.options import VIDEO, VOLUME, TimeOptions, VolumeArguments
+from supple.cli.options import VIDEO, VOLUME, Labels, TimeOptions, VolumeArguments
 from supple.cli.options_maps import MapOptions
 from supple.cli.options_strokes import StrokeOptions
 from supple.errors import SuppleError
@@ -25,7 +25,7 @@ def view(
     strokes: StrokeOptions = _STROKES,
     maps: MapOptions = _MAPS,
     time: TimeOptions = _TIME,
-    labels: Annotated[bool, Parameter(group=VOLUME)] = False,
+    labels: Labels = False,
     points: Annotated[str | None, Parameter(group=VOLUME, metavar="FILE")] = None,
     volume: VolumeArguments = _VOLUME,
 ) -> None:
@@ -44,7 +44,8 @@ def view(
     frame
         Frame of a video to show first, counted from 0, or its timecode.
     labels
-        The volume is a label map: exports take the label of the nearest voxel, and labels are not mixed.
+        The volume is a label map, and labels are not mixed: exports take the label of the nearest voxel (nearest, as
+        without a word), or that of the largest share of the footprint (smooth).
     points
         Landmarks to show: CSV, or 3D Slicer's .fcsv and .mrk.json.
     """

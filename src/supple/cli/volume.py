@@ -21,7 +21,7 @@ from supple.cli.options import (
     parse_three,
     read,
 )
-from supple.cli.options_maps import MapOptions, Maps
+from supple.cli.options_maps import MapOptions, Maps, Reference
 from supple.cli.options_strokes import StrokeOptions
 from supple.engine.devices import workers
 from supple.errors import SuppleError, spelling
@@ -239,6 +239,7 @@ def render(
     camera: CameraOptions = _CAMERA,
     look: LookOptions = _LOOK,
     maps: MapOptions = _MAPS,
+    reference: Reference = None,
     volume: VolumeArguments = _VOLUME,
     options: RunOptions = _RUN,
 ) -> None:
@@ -247,12 +248,15 @@ def render(
     Parameters
     ----------
     source
-        A volume: NIfTI, NRRD, MetaImage, a DICOM folder, a TIFF stack, .dat, or a file without a header.
+        A volume: NIfTI, NRRD, MetaImage, .mgz, a DICOM folder, a TIFF stack, .dat, or a file without a header.
     target
         A picture (PNG and TIFF keep opacity); with --turntable, a video or a name with a number.
+    reference
+        Render the volume as warped to the grid of another one, such as the fixed image of a registration.
     """
     console = current()
     from supple.engine.progress import counted
+    from supple.files.options import GridOptions
     from supple.files.renders import render_file
     from supple.media.medium import Medium
     from supple.render.camera import Camera
@@ -263,25 +267,27 @@ def render(
     given: dict[str, Any] = {"world": volume.world, "place": lambda: volume.place_of(source), "convention": convention}
     strokes.refuse_alone()
     reading = volume.to_reading()
-    medium = Medium(source, "volume", reading.layout, reading.series)
+    medium = Medium(source, "volume", reading.layout, reading.series, reading.irregular)
     recipe = strokes.to_recipe(medium=lambda recipe: medium, **given) if strokes.any else None
     fit = strokes.to_fit()
-    elements = maps.to_maps(console.arguments, recipe, strokes)
+    elements = maps.to_maps(console.arguments, recipe, strokes, reference=reference)
     with spelling(naming(rate="--rate", table="--table", legend="--legend")):
         render = look.to_render(Camera(**vars(camera)), convention)
     if convention is not None and not (strokes.pull or look.mesh):
         raise SuppleError("--convention is of tables of --pull and of meshes, and there are none: leave it out")
     if reading.world and recipe is None:
         raise SuppleError("--world is about the points of strokes, and there are none: leave it out")
-    placed = elements.on(console, medium.outline.grid, medium.name) if elements else ()
+    grid = None if reference is None else GridOptions(reference)
+    placed = elements.on(console, medium.outline.grid, medium.name, grid) if elements else ()
     with (
         spelling(naming(rate="--rate", table="--table", legend="--legend")),
         counted(console.terminal) as tell,
         workers() as who,
     ):
         scene = render_file(
-            source, target, recipe, options=render, volume=reading, force=options.force, tell=tell, fit=fit, maps=placed
-        )
+            source, target, recipe, options=render, volume=reading, force=options.force, tell=tell, fit=fit,
+            maps=placed, reference=reference,
+        )  # fmt: skip
     say_convention(console, reading.world, scene.geometry, source)
     if render.transfer is None and scene.labels is not None and not console.quiet:
         console.say(f"{source} is drawn as a label map, of {len(scene.labels)} labels: --transfer grey draws values")
@@ -315,6 +321,7 @@ def points(
     refer_to: Annotated[str | None, Parameter(metavar="SERIES")] = None,
     strokes: StrokeOptions = _STROKES,
     maps: MapOptions = _MAPS,
+    reference: Reference = None,
     volume: VolumeArguments = _VOLUME,
     video: VideoOptions = _VIDEO,
     options: RunOptions = _RUN,
@@ -333,6 +340,9 @@ def points(
         File to write, of the same kind.
     on
         The volume, picture or video that is deformed; voxels and pixels of points are its own.
+    reference
+        The image on whose grid the result of the maps is written, such as the fixed one of a registration: points of
+        the output in voxels are its own.
     refer_to
         The DICOM series that a moved structure set refers to, such as the bent one: a folder, or one of its slices.
     """
@@ -351,25 +361,32 @@ def points(
         world=volume.world, empty=maps.any, others="--field FILE, --affine FILE or ",
         place=lambda: volume.place_of(on), convention=convention, frames=video.frames(on),
     )  # fmt: skip
-    elements = maps.to_maps(console.arguments, recipe, strokes, points=True)
+    elements = maps.to_maps(console.arguments, recipe, strokes, reference=reference, points=True)
     deformation, geometry = _deformation(on, recipe, elements, volume.to_reading(), video, strokes.to_fit(), source)
+    seen = None if reference is None else elements.output(deformation.grid)
     with piped((source, target), console, ".csv") as (read, written):
         moved = move_points(
-            read, written, deformation, geometry,
+            read, written, deformation, geometry, reference=seen,
             inverse=elements.back, convention=convention, refer_to=refer_to, force=options.force,
         )  # fmt: skip
     say_convention(console, volume.world, geometry, on)
-    worst = float(moved.residual.max(initial=0.0))
+    worst = float(moved.error.max(initial=0.0))
     if options.json:
         known = {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in asdict(moved).items()}
-        facts: dict[str, Any] = {**known, "source": "-" if source == STREAM else source, "target": target}
+        known["error"] = [x if math.isfinite(x) else None for x in known["error"]]
+        facts: dict[str, Any] = {
+            **known,
+            "largest_error": worst if math.isfinite(worst) else None,
+            "source": "-" if source == STREAM else source,
+            "target": target,
+        }
         console.tell(facts)
         return
     unit = "px" if geometry is None else "mm"
     furthest = float(moved.displaced.max(initial=0.0))
     if not options.quiet and target != STREAM:
         many = "1 point" if moved.count == 1 else f"{moved.count} points"
-        print(f"{many}, moved by up to {furthest:.3g} {unit}; residual up to {worst:.1g} {unit}")
+        print(f"{many}, moved by up to {furthest:.3g} {unit}; error up to {worst:.1g} {unit}")
 
 
 def _deformation(
@@ -382,13 +399,16 @@ def _deformation(
     from supple.files.clips import open_clip
     from supple.files.jobs import Job, refuse_places
     from supple.files.landmarks import warn_of_frame
+    from supple.files.options import GridOptions
     from supple.files.volumes import deformation_of as on_volume
     from supple.files.volumes import open_volume
     from supple.media.files import is_store
     from supple.strokes import fit_recipe
 
     moving = Path(on).with_suffix(".mp4") if recipe.strokes and recipe.strokes[0].ndim == 3 else on
-    job = Job(on, moving, recipe, volume=reading)
+    job = Job(
+        on, moving, recipe, volume=reading, grid=None if elements.reference is None else GridOptions(elements.reference)
+    )
     if is_store(on):
         from supple.cli.stores import refer
         from supple.files.plans import open_source, warp_on

@@ -28,6 +28,7 @@ from supple.cli.options import (
     SAMPLING,
     VIDEO,
     VOLUME,
+    Labels,
     RunOptions,
     SamplingOptions,
     TrackOptions,
@@ -88,7 +89,7 @@ def warp(
     hold: Annotated[int, Parameter(group=VIDEO, metavar="N", allow_leading_hyphen=True)] = 0,
     video: VideoOptions = _VIDEO,
     tracks: TrackOptions = _TRACKS,
-    labels: Annotated[bool, Parameter(group=VOLUME)] = False,
+    labels: Labels = False,
     save_field: Annotated[str | None, Parameter(group=VOLUME, metavar="FILE")] = None,
     volume: VolumeArguments = _VOLUME,
     recursive: Annotated[bool, Parameter(group=SEVERAL)] = False,
@@ -129,7 +130,8 @@ def warp(
     hold
         Keep every bit of the first and the last N frames of a video: strokes fade towards them.
     labels
-        The volume is a label map: each voxel takes the label of the nearest one, and labels are not mixed.
+        The volume is a label map, and labels are not mixed: each voxel takes that of the nearest one (nearest, as
+        without a word), or that of the largest share of its footprint, whose edges are smooth (smooth).
     save_field
         Also write the displacement field of the inverse map, for SimpleITK, ANTs and 3D Slicer: NIfTI, NRRD,
         MHA or .h5; or beside a Zarr store, of both directions of the map, as OME-Zarr: .zarr.

@@ -21,6 +21,7 @@ from supple.cuda.device import CudaDevice, Memory, Pinned, Stream
 from supple.cuda.programs import JOB, THREADS, TOLD, Program, launch, prepare, record
 from supple.engine.sampling import BETWEEN, FILTERS, OUTSIDE, Certificate
 from supple.engine.work import Space, Work, refuse_mattes
+from supple.space.checks import refuse
 
 Array = npt.NDArray[Any]
 Samples = tuple[int, ...]
@@ -244,6 +245,8 @@ def warp(
 ) -> Lattice:
     """Launch the kernels of work on samples of a type, as `paint` does; the source is there from a frame on."""
     space, sampling, group = work.space, work.sampling, work.layout.groups[0]
+    if sampling.filter == "labels":
+        refuse("filter", '"auto", "cubic", "linear" or "nearest" on a CUDA device', sampling.filter)
     nearest = sampling.filter == "nearest"
     timed = space.ndim == 3 and not nearest  # otherwise a pixel is of one frame, whatever is asked for
     pointer = 0

@@ -234,6 +234,23 @@ def inverse(
     return values, certificate_of_status(status)
 
 
+def certified(
+    space: Space, points: npt.ArrayLike, *, back: bool
+) -> tuple[tuple[Floats, Floats, npt.NDArray[np.bool_]], Certificate]:
+    """Return T or T⁻¹ of points (..., D) with the values of `supple.deformation.Certified`, and the certificate."""
+    rows, given = _rows(space, points)
+    composite = space.composite or _core.Composite(
+        space.ndim, space.axes, [("strokes", space.rows, False)], space.freeze
+    )
+    status, errors = np.zeros(len(rows), np.uint8), np.zeros(len(rows))
+    found, _, _ = composite.through(rows, back, False, status, errors)
+    if space.composite is None:  # beyond the reach of strokes, no bit changes
+        errors[(found == rows).all(axis=1)] = 0.0
+    shape = given.shape[:-1]
+    values = _points(space, found, rows, given), errors.reshape(shape), (status & 4 == 0).reshape(shape)
+    return values, certificate_of_status(status)
+
+
 def inverse_map(
     space: Space, tolerance: float, dtype: npt.DTypeLike = np.float32
 ) -> tuple[npt.NDArray[Any], Certificate]:

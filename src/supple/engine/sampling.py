@@ -15,7 +15,7 @@ from supple.errors import FoldWarning, OutsideWarning, SuppleError, ToleranceWar
 from supple.space.checks import choice, flag, number, refuse
 
 # Codes shared with the core and CUDA.
-FILTERS = {"auto": 3, "cubic": 2, "linear": 1, "nearest": 0}
+FILTERS = {"auto": 3, "cubic": 2, "linear": 1, "nearest": 0, "labels": 3}  # shares of labels are those of "auto"
 BETWEEN = {"nearest": 0, "linear": 1, "cubic": 2, "flow": 1}  # the weights of "flow" are linear
 OUTSIDE = {"edge": 0, "constant": 1, "reflect": 2}
 
@@ -32,7 +32,9 @@ class Sampling:
     ----------
     filter : str
         ``"auto"`` (cubic, averaged over the residual footprint where the map shrinks), ``"cubic"`` (Keys' with a =
-        -0.75), ``"linear"`` or ``"nearest"`` (unchanged values, for labels).
+        -0.75), ``"linear"``, ``"nearest"`` (unchanged values), or ``"labels"``: of the labels in the footprint of
+        ``"auto"``, that of the largest share, so that edges are smooth, and no label is new; not for clips of files,
+        nor on a CUDA device.
     tolerance : float
         The largest distance of a source point from T⁻¹(q), in pixels. Points are float32: values below about 3e-4
         exceed their accuracy.
@@ -44,9 +46,9 @@ class Sampling:
     linear_light : bool
         Whether to average in linear light rather than in sRGB values, which darkens fine detail.
     between : str, optional
-        The interpolation between frames or slices: ``"linear"``, ``"cubic"`` or ``"nearest"``; linear by default, and
-        nearest under ``filter="nearest"``. ``"flow"`` is for frames alone: samples follow the motion between two of
-        them (with the extra ``flow``). An image, which is one frame, has none.
+        The interpolation between frames or slices: ``"linear"``, ``"cubic"`` or ``"nearest"``; linear by default,
+        nearest under ``filter="nearest"``, and cubic under ``"labels"``. ``"flow"`` is for frames alone: samples follow
+        the motion between two of them (with the extra ``flow``). An image, which is one frame, has none.
     time_filter : bool
         Whether to average each pixel over the frames that it covers, where the map compresses time: jagged edges
         become motion blur.
@@ -88,10 +90,18 @@ class Sampling:
         if fill.ndim > 1:
             refuse("fill", "a number, or one for each channel", self.fill)
         checked["fill"] = tuple(fill.tolist()) if fill.ndim else float(fill)
-        between = self.between or ("nearest" if self.filter == "nearest" else "linear")
-        checked |= {"between_frames": between, "averages_frames": bool(self.time_filter) and between != "nearest"}
+        if self.filter == "labels" and self.linear_light:
+            raise SuppleError(f"labels are no colours: leave {argument('linear_light')} out")
+        between = self.between or {"nearest": "nearest", "labels": "cubic"}.get(self.filter, "linear")
+        averages = (bool(self.time_filter) or self.filter == "labels") and between != "nearest"
+        checked |= {"between_frames": between, "averages_frames": averages}
         for name, value in checked.items():
             object.__setattr__(self, name, value)
+
+    @property
+    def keeps_values(self) -> bool:
+        """Return whether no values are mixed."""
+        return self.filter in ("nearest", "labels")
 
     @classmethod
     def of(cls, sampling: object, options: SamplingFields, ndim: int, *, flow: bool = False) -> Sampling:
@@ -193,7 +203,12 @@ def certificate_of_status(status: npt.NDArray[np.uint8]) -> Certificate:
 
 
 def warn_of(
-    certificate: Certificate, tolerance: float, stacklevel: int, folds: str = "", field_name: str = "a field"
+    certificate: Certificate,
+    tolerance: float,
+    stacklevel: int,
+    folds: str = "",
+    field_name: str = "a field",
+    unit: str = "px",
 ) -> None:
     """Warn if a map may be less accurate than the tolerance, or has folds or gaps.
 
@@ -222,7 +237,7 @@ def warn_of(
         )
     if not certificate.unknown and not certificate.error <= 1.01 * tolerance + FINEST:
         warnings.warn(
-            f"the map may be off by {certificate.error:.2g} px somewhere, more than the tolerance {tolerance:g}: "
+            f"the map may be off by {certificate.error:.2g} {unit} somewhere, more than the tolerance {tolerance:g}: "
             "use a larger radius, a shorter drag or a larger tolerance",
             ToleranceWarning,
             stacklevel=stacklevel,

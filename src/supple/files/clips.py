@@ -385,6 +385,8 @@ def deformations_of(
 def between_frames(sampling: Sampling, options: ClipOptions) -> Sampling:
     """Return the sampling of a clip with the options of time: by default, samples follow motion, if OpenCV is there."""
     between = options.between
+    if sampling.filter == "labels":
+        refuse("filter", '"auto", "cubic", "linear" or "nearest" for a clip', sampling.filter)
     if between is None and sampling.filter != "nearest" and find_spec("cv2") is not None:
         between = "flow"
     return replace(sampling, between=between, time_filter=options.time_filter)

@@ -218,6 +218,7 @@ def check_file(
     image: PathLike | None = None,
     map: PathLike | None = None,
     picture: PathLike | None = None,
+    plane: str | None = None,
     force: bool = False,
 ) -> CheckedFile:
     """Check the field of a file, as `Field.check` does.
@@ -232,13 +233,15 @@ def check_file(
         The image for the logarithm of the Jacobian determinant, float32, as `Field.log_jacobian` returns it. In NIfTI,
         the most negative float32 (-3.4028235e38) stands in place of NaN, which ITK reads there as 0.
     picture : str or os.PathLike, optional
-        A PNG, SVG or PDF file for `supple.plot.fields.draw_check`.
+        A PNG, SVG or PDF file for `supple.plot.fields.draw_check`, of a ``plane`` of a volume.
     """
     began = time.perf_counter()
     outputs = [path for path in (map, picture) if path is not None]
     for path in outputs:
         check_beside(path, source, inverse, force=force)
     check_images(map=map)
+    if plane is not None and picture is None:
+        raise SuppleError(f"{argument('plane')} is that of the picture, and there is none: give {argument('picture')}")
     if picture is not None:
         from supple.plot.frame import check_plot
 
@@ -262,7 +265,8 @@ def check_file(
             if picture is not None:
                 from supple.plot.fields import draw_check
 
-                draw_check(field, report, folded, logarithms, distances, places[picture], name=Path(source).name)
+                draw_check(field, report, folded, logarithms, distances, places[picture],
+                           name=Path(source).name, plane=plane)  # fmt: skip
     return CheckedFile(read, other, report, time.perf_counter() - began)
 
 

@@ -82,7 +82,13 @@ class Job:
         moves = self.recipe.moves or any(each.ndim == 3 for each in self.recipe.strokes[:1])
         moves |= shot.hold != 0 or shot.frame is not None or shot.frames is not None
         return opened(
-            self.source, self.target, axes=max(axes, default=2), moves=moves, layout=known.layout, series=known.series
+            self.source,
+            self.target,
+            axes=max(axes, default=2),
+            moves=moves,
+            layout=known.layout,
+            series=known.series,
+            irregular=known.irregular,
         )
 
     def check(self) -> Medium:

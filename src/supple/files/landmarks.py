@@ -19,10 +19,11 @@ from supple.media.volume import Volume
 from supple.media.volume import read as read_volume
 from supple.media.volume.dicom import frame_of_reference
 from supple.space.checks import choice
-from supple.space.geometry import Floats, Geometry
+from supple.space.geometry import Floats, Geometry, Grid
 from supple.strokes import REACH, CoordinateSpace, Stroke
 
 _Way = Callable[[Floats], Floats]
+_ROUNDED = 2.0**-50  # of a coordinate, on its way from millimetres to voxels and back
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -40,23 +41,23 @@ class Moved:
         The number of points.
     displaced : float64 array, shape (N,)
         The displacement of each point.
-    residual : float64 array, shape (N,)
-        |T(p) - q| of each point q in the output and the solution p of T(p) = q: for points mapped back, their accuracy;
-        for points mapped forward, the accuracy of mapping them back.
+    error : float64 array, shape (N,)
+        A bound on the distance of each point from where the map leads, as `Certified` has it; inf where no solution was
+        found.
     outside : int
         The number of points of the source beyond the outer faces of the voxels. They are mapped too, as T is defined
         there.
     first_outside : str
         The first of these in the file: its label, or its number from 1, and its coordinates.
     unconverged : int
-        The number of points for which that equation was not solved to 1e-6 voxels.
+        The number of points for which no solution was found.
     """
 
     source: Path
     target: Path
     count: int
     displaced: Floats
-    residual: Floats
+    error: Floats
     outside: int
     first_outside: str
     unconverged: int
@@ -68,6 +69,7 @@ def move_points(
     deformation: Deformation,
     geometry: Geometry | None = None,
     *,
+    reference: Grid | None = None,
     inverse: bool = False,
     convention: str | None = None,
     refer_to: PathLike | None = None,
@@ -79,13 +81,16 @@ def move_points(
     ----------
     source, target : str or os.PathLike
         Of one kind: .csv, .tsv, .txt; .fcsv; .mrk.json; or a mesh: .stl, .obj, .ply, .vtk (PolyData), .vtp; or
-        contours, a structure set .dcm. All but the coordinates is kept; a table also gets a column ``residual``, in the
-        units of `Moved`; normals of a mesh turn with its surface.
+        contours, a structure set .dcm. All but the coordinates is kept; a table also gets a column ``error_mm``, or
+        ``error_px`` without a geometry, and VTK PolyData such an array of its points; normals of a mesh turn with its
+        surface.
     deformation : Deformation
         A deformation of an image, for which only x and y are mapped, of a clip, or of a volume.
     geometry : Geometry, optional
         The geometry of the volume; not for images and clips. If it is sheared, the deformation is on the upright grid
         around it (`supple.files.volumes.deformation_of` makes it so).
+    reference : Grid, optional
+        The grid of the output, in whose samples its points are counted; by default, that of the input.
     inverse : bool
         If False, by T, from the input to the output. If True, by T⁻¹, from the output back.
     convention : str, optional
@@ -120,21 +125,22 @@ def move_points(
         raise SuppleError(text)
     given = read.points[:, : deformation.ndim]
     within, told = _ways(deformation, geometry, known)
-    start = within(given)
-    if inverse:
-        solved = deformation.inverse(start)
-        end, seen = solved.points, start
-    else:
-        end = seen = deformation.forward(start)
-        solved = deformation.inverse(seen)
+    counted = reference is not None and known == "index"  # in samples of another grid on either side
+    own, seen = deformation.grid, reference or deformation.grid
+    start = own.indices(seen.positions(given)) if counted and inverse else within(given)
+    mapped = deformation.certified(start, inverse=inverse)
+    end = mapped.points
     made = read.points.copy()
     # added to the original, so that unchanged points keep every bit
-    made[:, : deformation.ndim] = end if start is given else given + (told(end) - told(start))
+    if counted:
+        made[:, : deformation.ndim] = told(end) if inverse else seen.indices(own.positions(end))
+    else:
+        made[:, : deformation.ndim] = end if start is given else given + (told(end) - told(start))
     steps = np.array(deformation.domain.spacing if geometry is None or geometry.shear else geometry.spacing)
-    residual = np.linalg.norm((deformation.forward(solved.points) - seen) * steps, axis=1)
-    last = np.array(deformation.shape[::-1]) - 0.5
-    beyond = np.flatnonzero(((start < -0.5) | (start > last)).any(axis=1))
-    first, lost = "", int(np.count_nonzero(~solved.converged))
+    where = seen.indices(own.positions(start)) if inverse and reference is not None else start
+    last = np.array(seen.sizes if inverse else own.sizes) - 0.5
+    beyond = np.flatnonzero(((where < -0.5) | (where > last)).any(axis=1))
+    first, lost = "", int(np.count_nonzero(~mapped.converged))
     if len(beyond):
         k = int(beyond[0])
         first = f"{shown(read.labels[k]) if read.labels[k] else f'point {k + 1}'} at {_listed(read.points[k])}"
@@ -142,19 +148,26 @@ def move_points(
         which = f" ({first}{', for one' if len(beyond) > 1 else ''})"
         warnings.warn(f"{text}{which}: they are moved all the same", OutsideWarning, stacklevel=2)
     if lost:
-        text = f"{lost} of {len(made)} points did not converge: see their residuals"
+        text = f"{lost} of {len(made)} points did not converge: their error is inf"
         warnings.warn(text, ToleranceWarning, stacklevel=2)
     axes = told(np.eye(3)) - told(np.zeros(3))
-    normals = _turned(read, deformation, solved.points if inverse else start, axes.T, inverse)
-    write_points(target, made, read, residual=residual, normals=normals, force=force)
+    normals = _turned(read, deformation, end if inverse else start, axes.T, inverse)
+    moves = (made != read.points).any(axis=1)
+    errors = mapped.error + np.where(moves, _ROUNDED * np.abs(made).max(axis=1, initial=0.0), 0.0)
+    unit = "px" if geometry is None else "mm"
+    write_points(target, made, read, notes=(f"error_{unit}", errors), normals=normals, force=force)
     moved_by = np.asarray(np.linalg.norm((end - start) * steps, axis=1))
-    return Moved(Path(source), Path(target), len(made), moved_by, np.asarray(residual), len(beyond), first, lost)
+    return Moved(Path(source), Path(target), len(made), moved_by, errors, len(beyond), first, lost)
+
+
+def _same(points: Floats) -> Floats:
+    return points
 
 
 def _ways(deformation: Deformation, geometry: Geometry | None, known: str) -> tuple[_Way, _Way]:
     """Return the map from points of a file to indices of a deformation, and back."""
     if geometry is None or (known == "index" and not geometry.shear):
-        return (lambda p: p), (lambda p: p)
+        return _same, _same
     place = deformation.grid.geometry(geometry.convention) if geometry.shear else geometry
     if known != "index":
         return (lambda p: place.from_world(p, known)), (lambda p: place.to_world(p, known))

@@ -76,9 +76,10 @@ class VolumeOptions:
     world : bool
         Whether the strokes' points are positions in space, in millimetres, in the file's own convention, rather than
         indices.
-    labels : bool
-        Whether values are labels, which are not interpolated: every voxel takes that of the nearest. Integers only,
-        which may be stored as floats.
+    labels : bool or str
+        Whether values are labels, which are not interpolated: every voxel takes that of the nearest (True or
+        ``"nearest"``), or that of the largest share of its footprint (``"smooth"``). Integers only, which may be stored
+        as floats.
     save_field : str or os.PathLike, optional
         The file for the inverse displacement field, for SimpleITK, ANTs and 3D Slicer; beside a Zarr store, also
         one of OME-Zarr (``.zarr``), for both directions.
@@ -86,13 +87,25 @@ class VolumeOptions:
         The layout of a file without a header.
     series : str, optional
         The DICOM series of a folder: its number in the list, or its UID.
+    irregular : str, optional
+        ``"resample"`` accepts DICOM slices that are missing or unevenly spaced, as in `supple.media.volume.read`.
     """
 
     world: bool = False
-    labels: bool = False
+    labels: bool | str = False
     save_field: PathLike | None = None
     layout: RawLayout | None = None
     series: str | None = None
+    irregular: str | None = None
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.labels, bool) and self.labels not in ("nearest", "smooth"):
+            refuse("labels", '"nearest" or "smooth", or a flag', self.labels)
+
+    @property
+    def label_filter(self) -> str:
+        """The filter of labels."""
+        return "labels" if self.labels == "smooth" else "nearest"
 
 
 @dataclass(frozen=True, slots=True)

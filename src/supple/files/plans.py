@@ -21,7 +21,7 @@ from supple.fields import folds_of, only_name
 from supple.files.grids import grid_on
 from supple.files.jobs import Job
 from supple.files.tasks import Runner, Running, runner_of
-from supple.files.volumes import deformation_of, sampling_of
+from supple.files.volumes import deformation_of, filtered, sampling_of
 from supple.media.files import is_store, unreadable
 from supple.media.stores.image import StoredImage, open_image
 from supple.media.stores.inputs import Samples, like_file
@@ -135,11 +135,11 @@ def open_source(job: Job) -> Source:
             raise SuppleError(
                 f"{shown(source)} is a {kind}, and blocks are of pictures, volumes and Zarr stores: give one of these"
             )
-        samples = Samples(source, raw=known.layout, series=known.series)
+        samples = Samples(source, raw=known.layout, series=known.series, irregular=known.irregular)
         n = _axes_of_space(job, 3 if "z" in samples.axes else 2)
         geometry = samples.geometry if n == 3 else None
         return Source(shown(source), like_file(source, samples, ndim=n), samples, geometry)
-    for name, given in (("series", known.series), ("shape", known.layout)):
+    for name, given in (("series", known.series), ("irregular", known.irregular), ("shape", known.layout)):
         if given is not None:
             raise SuppleError(f"{name} is not for Zarr stores: leave it out")
     image = open_image(source)
@@ -179,13 +179,9 @@ def warp_on(source: Source, job: Job) -> Warp:
         elsewhere = job.grid is not None and job.grid.reference is not None
         outside = "constant" if source.geometry is not None and elsewhere else "edge"
         sampling = replace(sampling, outside=outside, fill=0.0 if known.labels else source.background)
-    if known.labels and sampling.filter not in ("auto", "nearest"):
-        text = f'{argument("labels")} needs filter "nearest", which keeps values as they are, found "{sampling.filter}"'
-        raise SuppleError(text)
+    sampling = replace(sampling, filter=filtered(job).filter)
     if known.labels and dtype.kind == "f":
         raise SuppleError(f"{argument('labels')} is for whole numbers, and {source.name} holds {dtype}: leave it out")
-    if known.labels:
-        sampling = replace(sampling, filter="nearest")
     whole = np.broadcast_to(np.zeros((), dtype), source.space)  # which takes no memory
     if sampling.outside == "constant":
         volume = Volume(whole, Geometry(), source.name, scaling=source.scaling)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,8 +17,9 @@ from supple.engine.work import Array
 from supple.errors import SuppleError, argument, shown
 from supple.fields import Placed
 from supple.files import clips
+from supple.files.grids import grid_on
 from supple.files.jobs import Job, refuse_places
-from supple.files.options import ClipOptions, PathLike
+from supple.files.options import ClipOptions, GridOptions, PathLike, VolumeOptions
 from supple.media.files import check_output
 from supple.plot import WHATS, draw_sheet, draw_slice, plot
 from supple.plot.clip import evenly
@@ -45,13 +47,16 @@ def plot_file(
     progress: bool = False,
     fit: Fit | None = None,
     maps: Sequence[Placed] = (),
+    volume: VolumeOptions | None = None,
+    plane: str | None = None,
+    reference: PathLike | None = None,
 ) -> Deformation:
     """Plot the effect of strokes, fields and affine maps on a file.
 
     Parameters
     ----------
     source : str or os.PathLike
-        An image, a video, a pattern or a folder of frames.
+        An image, a video, a pattern or a folder of frames, or a volume.
     target : str or os.PathLike
         A PNG, SVG or PDF file.
     recipe : Recipe
@@ -71,6 +76,12 @@ def plot_file(
         Whether to show the progress of a clip on a terminal.
     fit, maps
         As in `supple.warp_file`.
+    volume : VolumeOptions, optional
+        Options for reading a volume.
+    plane : str, optional
+        The plane of a volume, as in `supple.plot.volume.draw_volume`.
+    reference : str or os.PathLike, optional
+        Another volume, on whose grid the output is.
 
     Returns
     -------
@@ -90,9 +101,15 @@ def plot_file(
         raise SuppleError(text)
     check_output(target, force=force)
     check_plot(target, force=force)
-    kind = Job(source, "", recipe).medium.kind
-    if kind == "volume":
-        raise SuppleError(f"plots are of pictures and videos, and {shown(source)} is a volume: supple render shows it")
+    grid = None if reference is None else GridOptions(reference)
+    job = Job(source, "", recipe, maps=maps, volume=volume or VolumeOptions(), grid=grid, fit=fit)
+    if (kind := job.medium.kind) == "volume":
+        if frame is not None or options != ClipOptions(memory=options.memory):
+            raise SuppleError(f"{shown(source)} is a volume, which has no frames: leave out what is for videos")
+        return _plot_volume(job, target, what, plane, force)
+    for name, value in (("plane", plane), ("reference", reference if kind == "clip" else None)):
+        if value is not None:
+            raise SuppleError(f"{argument(name)} is for volumes, and {shown(source)} is none: leave it out")
     refuse_places(recipe, source)
 
     def once(count: int | None) -> Deformation:
@@ -156,6 +173,25 @@ def plot_file(
     fitted = fit_recipe(recipe, (width, height), fit, shown(source))
     deformation = Deformation.from_recipe(fitted, (height, width), maps=maps)
     plot(deformation, what, target, image=picture, force=force)
+    return deformation
+
+
+def _plot_volume(job: Job, target: PathLike, what: str, plane: str | None, force: bool) -> Deformation:
+    """Plot a deformation on a plane of a volume; of a series, the first one."""
+    from supple.files.volumes import deformation_of, is_of_labels, open_volume
+    from supple.plot import volume as drawn
+
+    if what not in drawn.WHATS:
+        kinds = " or ".join(drawn.WHATS)
+        raise SuppleError(f"{what} is for pictures and videos, and {shown(job.source)} is a volume: draw {kinds}")
+    volume = open_volume(job.source, job.volume)
+    out = grid_on(job.grid, volume.grid, volume.name, job.maps)
+    deformation = deformation_of(job.recipe, volume, world=job.volume.world, fit=job.fit, maps=job.maps)
+    labels, samples = volume.is_segmentation or is_of_labels(volume), volume.rescaled()
+    drawn.draw_volume(
+        deformation, what, samples[0] if volume.series else samples, volume.grid, target,
+        out=out, plane=plane, labels=labels, name=Path(job.source).name, force=force,
+    )  # fmt: skip
     return deformation
 
 

@@ -13,11 +13,14 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from supple.arrays import warp_array
+from supple.engine.sampling import Sampling, warn_of
 from supple.engine.work import Array, Tell
 from supple.errors import SuppleError, VolumeWarning, argument, shown
 from supple.fields import Placed
+from supple.files.grids import grid_on
 from supple.files.meshes import MeshFile, read_surfaces
-from supple.files.options import VolumeOptions
+from supple.files.options import GridOptions, VolumeOptions
 from supple.files.volumes import background_of, deformation_of, is_of_labels, open_volume
 from supple.media import image, turntable
 from supple.media.files import PathLike, check_output, check_outputs, check_suffix, replacing, replacing_all
@@ -199,8 +202,11 @@ def scene_of(
     world: bool = False,
     fit: Fit | None = None,
     maps: Sequence[Placed] = (),
+    reference: PathLike | None = None,
 ) -> Scene:
     """Return the scene of a volume, with strokes, fields and affine maps if given: with maps, of the warped volume.
+
+    With a ``reference``, the warped volume is on the grid of that one.
 
     SuppleError if it has several components that are not colours, or an argument does not fit.
     """
@@ -219,15 +225,18 @@ def scene_of(
         held = f"{samples.shape[3]} components of {samples.dtype}"
         text = f"{volume.name} has {held}, and pictures are of one value or of colours, RGB or RGBA in uint8, uint16 or"
         raise SuppleError(f"{text} floats from 0 to 1: take one component out of it")
-    aim = known.camera.target
-    if aim is not None and not all(-0.5 <= x <= n - 0.5 for x, n in zip(aim, volume.sizes, strict=True)):
-        spoken, end = (", ".join(f"{x:g}" for x in given) for given in (aim, (n - 1 for n in volume.sizes)))
+    grid = None if reference is None else grid_on(GridOptions(reference), volume.grid, volume.name, maps)
+    geometry = volume.geometry if grid is None else grid.geometry("LPS")
+    aim, shown_sizes = known.camera.target, volume.sizes if grid is None else grid.sizes
+    if aim is not None and not all(-0.5 <= x <= n - 0.5 for x, n in zip(aim, shown_sizes, strict=True)):
+        spoken, end = (", ".join(f"{x:g}" for x in given) for given in (aim, (n - 1 for n in shown_sizes)))
         text = f"{argument('target')} must be a voxel of {volume.name}, from (0, 0, 0) to ({end}), found ({spoken})"
         raise SuppleError(text)
     deformation = None
-    if recipe is not None or maps:
+    if recipe is not None or maps or grid is not None:
         deformation = deformation_of(recipe or Recipe(), volume, world=world, fit=fit, maps=maps)
-    if maps and known.mode != "buffered":
+    warped = bool(maps) or grid is not None
+    if warped and known.mode != "buffered":
         raise SuppleError(f"with fields and affine maps, the volume is warped first: leave mode {known.mode} out")
     given = known.transfer if known.transfer is not None else default_transfer(volume)
     if known.projection != "none":
@@ -250,16 +259,23 @@ def scene_of(
         samples = cropped(samples, known.crop, transfer, known.density)
     if known.largest:
         samples = largest(samples, transfer, known.density)
-    if maps and deformation is not None:
+    if warped and deformation is not None:
         labels = isinstance(transfer, LabelColours)
         fill = 0.0 if samples.ndim > 3 else background_of(volume, labels=labels)
         mixed = "nearest" if labels else "linear"
-        samples = deformation.warp(samples, filter=mixed, outside="constant", fill=fill)
-        meshes = tuple(Surface(deformation.forward(m.points), m.triangles, m.lines, m.colour) for m in meshes)
+        sampling = Sampling(filter=mixed, outside="constant", fill=fill)
+        samples, certificate = warp_array(samples, deformation.space_on(grid, volume.grid), sampling)
+        warn_of(certificate, sampling.tolerance, 3)
+        onto, own = grid or volume.grid, deformation.grid
+        places = [deformation.forward(own.indices(volume.grid.positions(m.points))) for m in meshes]
+        meshes = tuple(
+            Surface(onto.indices(own.positions(p)), m.triangles, m.lines, m.colour)
+            for m, p in zip(meshes, places, strict=True)
+        )
         deformation = None
     shared = {name: getattr(known, name) for name in _OF_SCENE}
     shared["mode"] = "buffered" if known.mode == "hybrid" else known.mode
-    return Scene(samples, volume.geometry, deformation=deformation, transfer=transfer, meshes=meshes, **shared)
+    return Scene(samples, geometry, deformation=deformation, transfer=transfer, meshes=meshes, **shared)
 
 
 def _check_labels(samples: Array, transfer: LabelColours, name: str) -> None:
@@ -301,6 +317,7 @@ def render_file(
     tell: Tell = lambda step, done, total: None,
     fit: Fit | None = None,
     maps: Sequence[Placed] = (),
+    reference: PathLike | None = None,
 ) -> Scene:
     """Render an image or a turntable of a volume file.
 
@@ -321,6 +338,8 @@ def render_file(
         Called with ``"render"``, the finished and the total amount of work.
     fit, maps
         As in `supple.warp_file`. With maps, the volume is warped before it is rendered, by the CPU.
+    reference : str or os.PathLike, optional
+        Another volume, to whose grid it is warped.
 
     Returns
     -------
@@ -348,7 +367,7 @@ def render_file(
                 raise SuppleError(f"{told}: it is not replaced; give another name") from None
     given = open_volume(source, reading)
     check_upright(given.geometry, given.name, "a rendering")
-    scene = scene_of(given, recipe, known, world=reading.world, fit=fit, maps=maps)
+    scene = scene_of(given, recipe, known, world=reading.world, fit=fit, maps=maps, reference=reference)
     if given.samples.dtype.kind == "f" and not np.isfinite(given.samples).any():
         raise SuppleError(f"nothing is seen of {given.name}: none of its values is a finite number")
     if scene.is_empty:

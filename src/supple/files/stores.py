@@ -170,7 +170,7 @@ def warp(job: Job, where: Running, tell: Tell) -> WarpedStore:
         here, there = (f"{address.rstrip('/')}/{LABELS}/{name}" for address in (image.address, output.site.address))
         with warnings.catch_warnings():  # those of the map were given for the image
             warnings.simplefilter("ignore")
-            options = replace(known, labels=True, save_field=None)
+            options = replace(known, labels=known.labels or "nearest", save_field=None)
             plain = Sampling(tolerance=job.sampling.tolerance, outside=job.sampling.outside)
             warp(replace(job, source=here, target=there, force=True, volume=options, sampling=plain), where, tell)
     if mapping is not None:
@@ -220,7 +220,7 @@ def _labels(source: Source, job: Job) -> tuple[str, ...]:
 
 def _warn_of_labels(source: Source, warp: Warp) -> None:
     image, n = source.image, len(source.space)
-    if warp.sampling.filter == "nearest" or warp.deformation.is_identity or (n == 2 and not image.is_labels):
+    if warp.sampling.keeps_values or warp.deformation.is_identity or (n == 2 and not image.is_labels):
         return
     middle = [(max(0, (size - _SIDE) // 2), min(size, (size + _SIDE) // 2)) for size in source.space]
     part = [(0, 1)] * source.carried + middle

@@ -43,10 +43,11 @@ _HUGE, _TINY = 2, 1  # radii, in the size of a volume and in the distance of its
 def open_volume(source: PathLike, options: VolumeOptions | None = None) -> Volume:
     """Return a volume with the samples as they are stored: `Volume.rescaled` has the true values."""
     known = options or VolumeOptions()
-    volume = read(source, raw=known.layout, series=known.series)
-    if known.series is not None and volume.format != "DICOM":
-        text = f"{volume.name} is {volume.format}, and {argument('series')} is for DICOM folders: leave it out"
-        raise SuppleError(text)
+    volume = read(source, raw=known.layout, series=known.series, irregular=known.irregular)
+    for name in ("series", "irregular"):
+        if getattr(known, name) is not None and volume.format != "DICOM":
+            text = f"{volume.name} is {volume.format}, and {argument(name)} is for DICOM folders: leave it out"
+            raise SuppleError(text)
     return volume
 
 
@@ -166,9 +167,19 @@ def _mapped(stroke: Stroke, there: Callable[[Floats], Floats], geometry: Geometr
     return replace(made, axis=along(tuple(np.multiply(axis, way / np.abs(axis).max()).tolist())))
 
 
+def filtered(job: Job) -> Sampling:
+    """Return how a volume is sampled, of labels as these are; SuppleError for labels that would be mixed."""
+    name, wanted = job.sampling.filter, job.volume.label_filter
+    if job.volume.labels and name not in ("auto", wanted):
+        fit = "auto" if wanted == "labels" else wanted
+        text = f'{argument("labels")} needs filter "{fit}", which keeps values as they are, found "{name}"'
+        raise SuppleError(text)
+    return replace(job.sampling, filter=wanted) if job.volume.labels else job.sampling
+
+
 def sampling_of(sampling: Sampling) -> Sampling:
     """Return the sampling options of a volume, equal along all three axes."""
-    between = "cubic" if sampling.filter in ("auto", "cubic") else None
+    between = "cubic" if sampling.filter in ("auto", "cubic", "labels") else None
     return replace(sampling, between=between, time_filter=sampling.filter == "auto")
 
 
@@ -194,11 +205,7 @@ def warp_volume(
 def warp(job: Job, tell: Tell) -> Warped:
     """Warp a volume, as in `warp_volume`, whose names and options are checked."""
     source, target, known, grid, maps = job.source, job.target, job.volume, job.grid, job.maps
-    name = "nearest" if known.labels and job.sampling.filter == "auto" else job.sampling.filter
-    sampling = sampling_of(replace(job.sampling, filter=name))
-    if known.labels and name != "nearest":
-        text = f'{argument("labels")} needs filter "nearest", which keeps values as they are, found "{name}"'
-        raise SuppleError(text)
+    sampling = sampling_of(filtered(job))
     tell("read", 0, 1)
     volume = open_volume(source, known)
     if grid is None:
@@ -226,7 +233,7 @@ def warp(job: Job, tell: Tell) -> Warped:
     work_of(frames.shape, frames.dtype, space, sampling, alpha=False, finite=False)  # raise its errors now
     _warn_of_gaps(volume, sampling.filter)
     mixed = not deformation.is_identity or not (regrid is None or regrid.uncropped().is_same_space(volume.grid))
-    if sampling.filter != "nearest" and mixed:
+    if not sampling.keeps_values and mixed:
         _warn_of_labels(volume)
     with contextlib.ExitStack() as stack:
         if known.save_field is not None:
@@ -246,7 +253,7 @@ def warp(job: Job, tell: Tell) -> Warped:
     )  # fmt: skip
 
 
-def background_of(volume: Volume, *, labels: bool = False) -> float:
+def background_of(volume: Volume, *, labels: bool | str = False) -> float:
     """Return the scaled value of what lies outside of a volume: of labels 0, of DICOM its padding, or else the least.
 
     NaN and infinities are left out.
@@ -298,7 +305,7 @@ def check(job: Job) -> None:
 
 
 def _warn_of_gaps(volume: Volume, filter: str) -> None:
-    if volume.samples.dtype.kind != "f" or filter == "nearest":
+    if volume.samples.dtype.kind != "f" or filter in ("nearest", "labels"):
         return
     gaps = sum(int(np.count_nonzero(~np.isfinite(slab))) for slab in volume.samples)
     if gaps:
@@ -397,7 +404,7 @@ def _written(volume: Volume, like: Volume, job: Job, space: Space, sampling: Sam
             if job.clamp is not False and not space.is_identity:
                 clamp_to(series, out, sampling)
             # before the target is renamed
-            warn_of(certificate, sampling.tolerance, 4, folds_of(job.maps), only_name(job.maps))
+            warn_of(certificate, sampling.tolerance, 4, folds_of(job.maps), only_name(job.maps), "voxels")
             tell("write", 0, 1)
             write(target, out if volume.series else out[0], like, force=force)
     return certificate

@@ -35,7 +35,7 @@ class Medium:
     path : str or os.PathLike
     kind : str
         ``"picture"``, ``"clip"`` or ``"volume"``.
-    layout, series
+    layout, series, irregular
         Of volumes, as in `supple.media.volume.read`.
     """
 
@@ -43,6 +43,7 @@ class Medium:
     kind: Kind
     layout: RawLayout | None = None
     series: str | None = None
+    irregular: str | None = None
 
     @property
     def name(self) -> str:
@@ -54,7 +55,7 @@ class Medium:
         """A volume without its samples, as `supple.media.volume.outline_of` returns it."""
         from supple.media.volume import outline_of
 
-        return outline_of(self.path, raw=self.layout, series=self.series)
+        return outline_of(self.path, raw=self.layout, series=self.series, irregular=self.irregular)
 
     @cached_property
     def grid(self) -> Grid | None:
@@ -81,6 +82,7 @@ def opened(
     moves: bool = False,
     layout: RawLayout | None = None,
     series: str | None = None,
+    irregular: str | None = None,
 ) -> Medium:
     """Return what a file, a pattern or a folder is taken for.
 
@@ -94,12 +96,12 @@ def opened(
     moves : bool
         Whether strokes have a time or move from frame to frame: then animated pictures and a folder of pictures are a
         clip.
-    layout, series
-        As in `supple.media.volume.read`; with one of them, it is a volume.
+    layout, series, irregular
+        As in `supple.media.volume.read`; with one of the first two, it is a volume.
     """
     goal = suffix_of(target)
     if layout is not None or series is not None or _is_volume(path, goal, axes == 3):
-        return Medium(path, "volume", layout, series)
+        return Medium(path, "volume", layout, series, irregular)
     return Medium(path, "clip" if _is_clip(path, target, goal, moves) else "picture")
 
 

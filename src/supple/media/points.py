@@ -127,7 +127,7 @@ def write_points(
     points: npt.ArrayLike,
     like: PointFile,
     *,
-    residual: npt.ArrayLike | None = None,
+    notes: tuple[str, Floats] | None = None,
     normals: Floats | None = None,
     force: bool = False,
 ) -> None:
@@ -137,8 +137,9 @@ def write_points(
     the centres of its faces best. What Slicer measures (lengths, angles) is left out of a markup that moves, and so is
     what it derives from the points of a plane.
 
-    The suffix, and the shape and convention of the points, are those of ``like``. ``residual`` becomes the last column
-    of a CSV, or its column ``residual``; ``normals`` are those of a mesh, by default those of ``like``.
+    The suffix, and the shape and convention of the points, are those of ``like``. ``notes``, a name and
+    a number for each point, become the last column of a CSV, or the one of that name, and an array of the points of VTK
+    PolyData; ``normals`` are those of a mesh, by default those of ``like``.
     """
     check_target(path, f"x{next(suffix for suffix, kind in _FORMATS.items() if kind == like.kind)}")
     made = np.asarray(points, np.float64)
@@ -147,10 +148,11 @@ def write_points(
         raise SuppleError(f"cannot write {shown(path)}: points must be {wanted}, as in {like.name}")
     if isinstance(like._as_read, Mesh):
         data = like._as_read.rewritten(made, like.normals if normals is None else normals)
+        if notes is not None and like.kind in meshes.NOTED and notes[1].any():
+            data = meshes.noted(data, like.kind, *notes)
     elif isinstance(like._as_read, Table):
-        known = like.kind == "CSV" and residual is not None
-        notes = [f"{r:.3g}" for r in np.asarray(residual, np.float64)] if known else None
-        data = like._as_read.written(made, like.points, notes).encode("utf-8", "surrogateescape")
+        column = None if notes is None or like.kind != "CSV" else (notes[0], [f"{x:.3g}" for x in notes[1].tolist()])
+        data = like._as_read.written(made, like.points, column).encode("utf-8", "surrogateescape")
     else:
         data = _to_json(like._as_read, made, like.points, like.name).encode("utf-8", "surrogateescape")
     with replacing(path, force=force) as temporary:

@@ -17,12 +17,13 @@ FORMATS = {
     **dict.fromkeys((".nii", ".nii.gz", ".hdr", ".img"), "NIfTI"),
     **dict.fromkeys((".nrrd", ".nhdr"), "NRRD"),
     **dict.fromkeys((".mha", ".mhd"), "MetaImage"),
+    **dict.fromkeys((".mgz", ".mgh"), "MGH"),
     **dict.fromkeys((".dcm", ".dicom", ".ima"), "DICOM"),
     **dict.fromkeys((".dat", ".raw"), "raw"),
 }
 """The formats of volumes, by their suffixes."""
 VOLUMES = frozenset(FORMATS)
-VOLUMES_OUT: tuple[str, ...] = (".nii", ".nii.gz", ".nrrd", ".mha", ".mhd", ".tif", ".tiff")
+VOLUMES_OUT: tuple[str, ...] = (".nii", ".nii.gz", ".nrrd", ".mha", ".mhd", ".mgz", ".mgh", ".tif", ".tiff")
 
 
 def suffix_of(path: PathLike) -> str:

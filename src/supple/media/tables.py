@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import re
 from dataclasses import dataclass
-from typing import NoReturn
+from typing import NamedTuple, NoReturn
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from supple.space.geometry import Floats
 
 _MARK = "\ufeff"  # which Excel puts before UTF-8
 _SYSTEMS = {"0": "RAS", "RAS": "RAS", "1": "LPS", "LPS": "LPS", "2": "index", "IJK": "index"}
+_PLAIN = "-+.0123456789"
 _TRIPLES = {"ras": "RAS", "lps": "LPS", "ijk": "index"}
 _STATEMENT = re.compile(r"\s*#\s*CoordinateSystem\s*=\s*(.*)", re.IGNORECASE)
 _COLUMNS = re.compile(r"\s*#\s*columns\s*=", re.IGNORECASE)
@@ -22,8 +23,7 @@ _UNIT = re.compile(r"\s*[(\[].*")
 _AROUND = re.compile(r"(?:pos|position|coord|point)[ _.-]?([xyzt])|([xyzt])[ _.-]?(?:pos|position|coord|mm|px|voxel)")
 
 
-@dataclass(frozen=True, slots=True)
-class _Record:
+class _Record(NamedTuple):
     """A line, or several if quotes hold line breaks; ``cells`` hold the text with its spaces and quotes."""
 
     line: int
@@ -42,19 +42,22 @@ class Table:
     rows: list[int]
     columns: tuple[int, ...]
 
-    def written(self, points: Floats, before: Floats, notes: list[str] | None) -> str:
-        """Return the text with other points, shape (N, 2) or (N, 3), and with ``notes`` in the column ``residual``."""
+    def written(self, points: Floats, before: Floats, notes: tuple[str, list[str]] | None) -> str:
+        """Return the text with other points, shape (N, 2) or (N, 3), and with ``notes`` in the column of their name."""
         records = [list(record.cells) for record in self.records]
-        for row, new, old in zip(self.rows, points, before, strict=True):
-            for i in np.flatnonzero(new != old):
-                cell = records[row][self.columns[i]]
-                records[row][self.columns[i]] = cell.replace(bare(cell), repr(float(new[i])), 1)
+        for row, new, old in zip(self.rows, points.tolist(), before.tolist(), strict=True):
+            for column, x, was in zip(self.columns, new, old, strict=False):
+                if x != was:
+                    cell = records[row][column]
+                    plain = cell[-1].isdigit() and cell[0] in _PLAIN  # without quotes and spaces
+                    records[row][column] = repr(x) if plain else cell.replace(bare(cell), repr(x), 1)
         if notes is not None:
+            name, texts = notes
             names = [] if self.header is None else [bare(cell).lower() for cell in records[self.header]]
-            at = names.index("residual") if "residual" in names else None
+            at = names.index(name) if name in names else None
             if self.header is not None and at is None:
-                records[self.header].append("residual")
-            for row, note in zip(self.rows, notes, strict=True):
+                records[self.header].append(name)
+            for row, note in zip(self.rows, texts, strict=True):
                 if at is None:
                     records[row].append(note)
                 else:
@@ -101,7 +104,9 @@ def parsed(name: str, text: str, *, fcsv: bool) -> tuple[Table, Floats, str, tup
         if len(cells) <= max(columns) or (not fcsv and len(cells) != wide):
             found = f"it has {len(cells)} cell{'s' if len(cells) != 1 else ''}"
             _refuse(name, records[row], found, f"give {max(columns) + 1 if fcsv else wide}")
-    points = np.array([[_coordinate(name, records[row], c) for c in columns] for row in rows])
+    points = _all_numbers([[records[row].cells[c] for row in rows] for c in columns])
+    if points is None:  # which names the line at fault, or reads quoted numbers
+        points = np.array([[_coordinate(name, records[row], c) for c in columns] for row in rows])
     table = Table(text[: len(text) - len(plain)], records, delimiter, header, rows, columns)
     return table, points, convention or stated, _labels(table, fcsv), told
 
@@ -152,6 +157,16 @@ def _number(cell: str) -> float | None:
         return None if "_" in cell else float(bare(cell))
     except ValueError:
         return None
+
+
+def _all_numbers(columns: list[list[str]]) -> Floats | None:
+    """Return columns of plain numbers as (N, columns), at once; None if any cell is something else."""
+    try:
+        made = np.array([list(map(float, cells)) for cells in columns]).T
+    except ValueError:
+        return None
+    fine = not any("_" in "".join(cells) for cells in columns) and (np.abs(made) <= LARGEST).all()
+    return np.ascontiguousarray(made) if fine else None
 
 
 def _coordinate(name: str, record: _Record, column: int) -> float:

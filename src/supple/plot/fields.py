@@ -11,7 +11,9 @@ import numpy.typing as npt
 
 from supple.fields import Field, sampled
 from supple.fields.checks import FieldReport
+from supple.plot import planes
 from supple.plot.frame import Box, Extend, bar, check_plot, save, set_axes, sheet, title
+from supple.space.checks import refuse
 from supple.space.geometry import Floats, Grid
 
 if TYPE_CHECKING:
@@ -20,6 +22,7 @@ if TYPE_CHECKING:
 
 _PANEL = 4.6  # inches
 _LINES = 40  # of the grid, along the longer side
+_CROWDED = 0.05  # of the cells of a slice
 _WINDOW = 8  # cells on each side of the folds that are seen from near
 _BLUE, _REST, _FOLDED, _RIM, _GAP = "#33628d", "#d0d0d0", "#f0c800", "#8a6d00", "#555555"
 
@@ -36,7 +39,7 @@ class _Slice(NamedTuple):
     distances: Singles | None
     steps: tuple[float, float]
     unit: str
-    where: str
+    plane: planes.Plane | None  # of a volume
 
 
 def draw_check(
@@ -48,35 +51,50 @@ def draw_check(
     path: str | os.PathLike[str],
     *,
     name: str = "The field",
+    plane: str | None = None,
     force: bool = False,
 ) -> None:
     """Write a picture of a field that was checked to a PNG, SVG or PDF file; its name is for the title.
 
     The other arguments are what `Field.reported`, `Field.folded_cells`, `Field.log_jacobian` and `Field.distances` have
-    returned. Of a volume, it shows the slice with most folds in the cells on both sides, which are marked; or the
-    middle one if there are none. SuppleError if it cannot be written there.
+    returned. Of a volume, it shows a ``plane`` as `supple.plot.planes.chosen` has it: by default, the axial slice with
+    most folds in the cells on both sides, which are marked; or the middle one if there are none. SuppleError if it
+    cannot be written there, or there is no such plane.
     """
     check_plot(path, force=force)
-    save(_figure(_slice(field, report.grid, folded, logarithms, distances), report, name), path, force=force)
+    save(_figure(_slice(field, report.grid, folded, logarithms, distances, plane), report, name), path, force=force)
 
 
 def _slice(
-    field: Field, grid: Grid, folded: npt.NDArray[np.bool_], logarithms: Singles, distances: Singles | None
+    field: Field,
+    grid: Grid,
+    folded: npt.NDArray[np.bool_],
+    logarithms: Singles,
+    distances: Singles | None,
+    where: str | None = None,
 ) -> _Slice:
-    values = sampled(field)
-    where, unit = "", "px"
+    values, plane, unit, ways = sampled(field), None, "px", np.array(grid.direction).T
+    if where is not None and grid.ndim == 2:
+        refuse("plane", "left out for a field of a picture", where)
     if grid.ndim == 3:
-        layers = np.pad(folded, ((1, 1), (0, 0), (0, 0)))[: grid.shape[0] + 1]  # below and above each slice
-        counts = np.convolve(layers.sum(axis=(1, 2)), (1, 1), "valid")
-        k = int(counts.argmax()) if counts.any() else (grid.shape[0] - 1) // 2
-        where, unit = f"slice {k} (of 0 to {grid.shape[0] - 1})", "mm"
-        values, logarithms, folded = values[k], logarithms[k], layers[k] | layers[k + 1]
-        distances = None if distances is None else distances[k]
+        unit, sizes = "mm", grid.sizes
+
+        def both(through: int) -> planes.Ints:  # the cells that fold on both sides of each slice
+            others = tuple(k for k in range(3) if k != 2 - through)
+            counts = np.pad(folded.sum(axis=others), 1)[: sizes[through] + 1]
+            return np.convolve(counts, (1, 1), "valid")
+
+        plane = planes.chosen(grid, where, both)
+        layers = np.pad(folded, [(1, 1) if k == 2 - plane.through else (0, 0) for k in range(3)])
+        folded = plane.seen(layers) | plane.seen(layers, min(plane.number + 1, layers.shape[2 - plane.through] - 1))
+        values, logarithms = plane.seen(values), plane.seen(logarithms)
+        distances = None if distances is None else plane.seen(distances)
+        ways = plane.ways
     height, width = logarithms.shape
-    sx, sy = grid.spacing[:2]
+    sx, sy = grid.spacing[:2] if plane is None else plane.steps
     rest = np.stack(np.meshgrid(np.arange(width) * sx, np.arange(height) * sy), axis=-1)
-    along = values.astype(np.float64) @ np.array(grid.direction)  # along the axes of the grid
-    return _Slice(rest, rest + along[..., :2], folded, logarithms, distances, (sx, sy), unit, where)
+    along = values.astype(np.float64) @ ways.T  # along the axes of the picture
+    return _Slice(rest, rest + along[..., :2], folded, logarithms, distances, (sx, sy), unit, plane)
 
 
 def _figure(seen: _Slice, report: FieldReport, name: str) -> Figure:
@@ -93,7 +111,7 @@ def _figure(seen: _Slice, report: FieldReport, name: str) -> Figure:
     made, parts = sheet(columns * (_PANEL + 1.2) + 0.3, rows * (tall + 0.7) + 1.0, rows, columns)
     longest = max(height, width)
     _draw_grid(parts[0], seen, max(1, math.ceil(longest / _LINES)))
-    what = "Grid, moved by the displacement" + (" (its part in this plane)" if seen.where else "")
+    what = "Grid, moved by the displacement" + (" (its part in this plane)" if seen.plane else "")
     _set(parts[0], seen, whole, what)
     if near is not None:
         _draw_grid(parts[1], seen, 1)
@@ -108,7 +126,7 @@ def _figure(seen: _Slice, report: FieldReport, name: str) -> Figure:
     if report.folds:
         told = f"{report.folded:,} of {report.cells:,} cells fold ({100 * report.folded / report.cells:.2g} %)"
     place = ", ".join(f"{x + 0.0:.4g}" for x in report.at)
-    text = f"{name}: {told}" + (f"; {seen.where}" if seen.where else "")
+    text = f"{name}: {told}" + (f"; {seen.plane.text}" if seen.plane else "")
     text += f"\nleast determinant {report.determinant:.3g} at ({place}) {seen.unit}; displacement up to "
     title(made, f"{text}{report.largest:.3g} {seen.unit}, {report.mean:.3g} on average")
     return made
@@ -160,8 +178,15 @@ def _draw_grid(axes: Axes, seen: _Slice, every: int) -> None:
     cells = np.argwhere(seen.folded)
     if len(cells):
         drawn = PolyCollection(list(_corners(seen.moved, cells)), facecolors=_FOLDED, edgecolors=_RIM)
-        drawn.set(linewidth=0.6 if every == 1 else 0.2, zorder=3)
+        # Many that fold lie over each other: lines stay visible above them.
+        drawn.set(linewidth=0.6 if every == 1 else 0.0 if _is_crowded(seen) else 0.2)
+        drawn.set(zorder=0.5 if _is_crowded(seen) else 3, alpha=0.5 if _is_crowded(seen) else 1.0)
         axes.add_collection(drawn)
+
+
+def _is_crowded(seen: _Slice) -> bool:
+    """Return whether so many cells fold that marks around each would hide everything else."""
+    return float(seen.folded.mean()) > _CROWDED
 
 
 def _outline(seen: _Slice) -> list[Floats]:
@@ -181,12 +206,14 @@ def _draw_jacobian(made: Figure, axes: Axes, seen: _Slice, box: Box) -> None:
     reach = max(float(np.percentile(np.abs(known), 99)) if known.size else 0.0, 0.02)
     axes.set_facecolor(_GAP)
     drawn = _show(axes, seen, seen.logarithms, TwoSlopeNorm(0.0, -reach, reach), "RdBu_r")
-    if seen.folded.any():
+    if seen.folded.any() and not _is_crowded(seen):
         halo = [withStroke(linewidth=2.6, foreground="black")]
         axes.add_collection(LineCollection(_outline(seen), colors=_FOLDED, linewidths=1.4, path_effects=halo))
+    elif seen.folded.any():
+        axes.add_collection(LineCollection(_outline(seen), colors=_FOLDED, linewidths=0.9))
     low, high = (float(known.min()), float(known.max())) if known.size else (math.nan, math.nan)
     _set(axes, seen, box, f"ln det(I + ∂u/∂x): {low:z.2f} to {high:z.2f}")
-    what = "volume" if seen.where else "area"
+    what = "volume" if seen.plane else "area"
     cuts: dict[tuple[bool, bool], Extend] = {(True, True): "both", (True, False): "min", (False, True): "max"}
     cut = cuts.get((low < -1.001 * reach, high > 1.001 * reach), "neither")
     bar(made, drawn, axes, f"ln(input {what} / output {what})", cut)
@@ -219,5 +246,10 @@ def _area(box: Box) -> float:
 
 
 def _set(axes: Axes, seen: _Slice, box: Box, name: str) -> None:
-    names = ("along the grid’s first axis", "along its second") if seen.where else ("x", "y")
-    set_axes(axes, box, 1.0, name, (f"{names[0]} ({seen.unit})", f"{names[1]} ({seen.unit})"))
+    labels = (f"x ({seen.unit})", f"y ({seen.unit})")
+    if seen.plane:
+        left, right, above, below = seen.plane.letters
+        labels = f"{left} → {right} (mm)", f"{below} ← {above} (mm)"
+    set_axes(axes, box, 1.0, name, labels)
+    if seen.plane:
+        planes.mark(axes, seen.plane, box)

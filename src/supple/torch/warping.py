@@ -89,6 +89,8 @@ def warp(
     for name in ("linear_light", "time_filter"):
         if getattr(sampling, name):
             refuse(name, "left out for tensors", True)
+    if sampling.filter == "labels":
+        refuse("filter", '"auto", "cubic", "linear" or "nearest" for tensors', sampling.filter)
     wanted = torch.is_grad_enabled() and tensor.requires_grad
     strokes_wanted = any(own for _, own in given)
     if (wanted or strokes_wanted) and sampling.filter not in _SMOOTH:

@@ -9,6 +9,7 @@ import pytest
 import SimpleITK as sitk  # noqa: N813
 
 import supple
+from supple.cli import command
 from supple.cli.describe import describe
 from supple.errors import SuppleError, VolumeWarning
 from supple.fields import Placed
@@ -17,7 +18,7 @@ from supple.media.volume import read, write
 from supple.space.affine import Affine
 from supple.strokes import Recipe, Stroke
 from tests.media.volume.test_dicom import slices
-from tests.media.volume.volumes import SHAPE, SPACING, noise, refused
+from tests.media.volume.volumes import SHAPE, SPACING, noise, refused, turned
 
 pytestmark = pytest.mark.filterwarnings("ignore:.* moves nothing")
 
@@ -346,3 +347,27 @@ def test_labels_stay_labels(tmp_path: Path) -> None:
     folder = source(tmp_path / "in", noise("u1", *SHAPE).astype("i2") % 3)
     supple.warp_file(folder, tmp_path / "out", BENT, volume=VolumeOptions(labels=True))
     assert set(np.unique(read(tmp_path / "out").samples)) <= {0, 1, 2}
+
+
+def test_a_derived_series_says_that_slices_were_interpolated(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    normal = turned(flipped=False)[:, 2]
+    places = [normal * step for step in (0.0, 2.0, 6.0, 8.0)]
+    folder = slices(tmp_path / "in", noise("i2", *SHAPE), places=places)
+    line = ["warp", str(folder), str(tmp_path / "out"), "--grab", "3,2,2:3.5,2,2", "--radius", "4"]
+    assert command(line) == 2
+    assert "--irregular resample interpolates between them" in capfd.readouterr().err
+    assert command([*line, "--irregular", "resample"]) == 0
+    assert "4 slices, 2 to 4 mm apart, are interpolated linearly at 5 places, 2 mm apart" in capfd.readouterr().err
+    heads = heads_of(tmp_path / "out")
+    assert len(heads) == 5
+    for k, head in enumerate(heads):
+        assert head.DerivationDescription.startswith(
+            "Of a source whose 4 slices, 2 to 4 mm apart, are interpolated linearly at 5 places, 2 mm apart. Bent by"
+        )
+        assert len(head.DerivationDescription) <= 1024
+        np.testing.assert_allclose(np.array(head.ImagePositionPatient, float), normal * 2 * k, atol=1e-4)
+        assert float(head.SliceThickness) == pytest.approx(2)
+    assert command(["info", str(tmp_path / "out")]) == 0
+    assert command(["info", str(folder), "--irregular", "resample"]) == 0
+    assert "bent" not in capfd.readouterr().err
+    assert read(tmp_path / "out").samples.shape == (5, *SHAPE[1:])

@@ -1,5 +1,6 @@
 """Series of DICOM slices."""
 
+import contextlib
 import gzip
 import os
 
@@ -7,7 +8,7 @@ import numpy as np
 import pytest
 import SimpleITK as sitk  # noqa: N813
 
-from supple.errors import VolumeWarning
+from supple.errors import SuppleError, VolumeWarning
 from supple.media.volume import info, is_volume, read, write
 from supple.space.geometry import Geometry
 from tests.media.volume import volumes
@@ -210,6 +211,37 @@ class TestDICOM:
     def test_uneven_slices(self, tmp_path, steps, told):
         folder = slices(tmp_path / "in", volumes.noise("i2", *volumes.SHAPE), places=self._places(steps))
         assert told in volumes.refused(read, folder)
+
+    @pytest.mark.parametrize(
+        ("steps", "count", "step"),
+        [((0, 2, 6, 8), 5, 2.0), ((0, 2, 3.4, 5.4), 4, 1.8), ((0, 2, 2.9, 5, 7, 13.1), 8, 13.1 / 7), ((0, 2, 4), 3, 2)],
+    )
+    @pytest.mark.parametrize("aside", [(0, 0, 0), (0, 0.2, 0)])
+    def test_uneven_slices_are_interpolated_where_that_is_accepted(self, tmp_path, steps, count, step, aside):
+        samples = volumes.noise("i2", len(steps), 5, 6)
+        normal = volumes.turned(flipped=False)[:, 2]
+        places = [normal * s + np.array(aside) * s + volumes.ORIGIN for s in steps]
+        folder = slices(tmp_path / "in", samples, places=places)
+        even = len(steps) == 3
+        with contextlib.nullcontext() if even else pytest.warns(VolumeWarning, match=f"linearly at {count} places"):
+            known = read(folder, irregular="resample")
+        assert known.samples.dtype == np.int16
+        ends = np.linspace(0, steps[-1], count)
+        wanted = [[np.interp(ends, steps, samples[:, y, x]) for x in range(6)] for y in range(5)]
+        wanted = np.moveaxis(np.array(wanted), 2, 0)
+        np.testing.assert_allclose(known.samples, wanted, atol=0.501)
+        assert np.dot(known.geometry.matrix[:3, 2], normal) == pytest.approx(
+            step * (1 + np.dot(aside, normal)), abs=1e-4
+        )
+        np.testing.assert_allclose(known.geometry.to_lps((0.0, 0.0, count - 1.0)), places[-1], atol=1e-3)
+        assert known.regridded is not even
+        assert even or "irregular='resample' interpolates between them" in volumes.refused(read, folder)
+
+    def test_what_no_interpolation_mends_is_refused_as_before(self, tmp_path):
+        folder = slices(tmp_path / "in", volumes.noise("i2", *volumes.SHAPE), places=self._places((0, 2, 2, 4)))
+        assert "same place" in volumes.refused(read, folder, irregular="resample")
+        with pytest.raises(SuppleError, match="irregular must be"):
+            read(folder, irregular="drop")
 
     @pytest.mark.parametrize(
         ("change", "told"),

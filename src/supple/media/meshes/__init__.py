@@ -24,6 +24,8 @@ from supple.space.checks import LARGEST
 
 KINDS = {".stl": "STL", ".obj": "OBJ", ".ply": "PLY", ".vtk": "VTK", ".vtp": "VTP", ".dcm": "RTSTRUCT"}
 """Kinds of files by their suffix."""
+NOTED = ("VTK", "VTP")
+"""Kinds that hold a number for each point, by a name."""
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.intp]
 Spans = Sequence[tuple[int, int]]
@@ -197,3 +199,9 @@ def read_mesh(path: PathLike, kind: str, series: Volume | None = None) -> Mesh:
     """
     parsed: Callable[..., Mesh] = import_module(f"supple.media.meshes.{kind.lower()}").parsed
     return parsed(path, head_of(path, -1, "give a file of a mesh"), **({} if series is None else {"series": series}))
+
+
+def noted(data: bytes, kind: str, name: str, values: Floats) -> bytes:
+    """Return a file of one of the kinds in `NOTED` with an array of its points more."""
+    module = import_module(f"supple.media.meshes.{kind.lower()}")
+    return module.noted(data, name, values)  # type: ignore[no-any-return]

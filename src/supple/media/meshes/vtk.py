@@ -62,6 +62,20 @@ def parsed(path: PathLike, data: bytes) -> meshes.Mesh:
     return meshes.Mesh(points.values, meshes.space_of(head[1]), rewritten, parts, normals.values, at)
 
 
+def noted(data: bytes, name: str, values: meshes.Floats) -> bytes:
+    """Return a file with one array of its points more, as field data, behind those that it has."""
+    head = _HEAD.match(data)
+    binary = head is not None and head[2].upper() == b"BINARY"
+    section = _POINT_DATA.search(data)
+    after = _CELL_DATA.search(data, section.end()) if section else None
+    place = after.start() if after else len(data)
+    numbers = values.astype(">f8").tobytes() if binary else b" ".join(b"%.3g" % x for x in values.tolist())
+    start = b"" if section else b"POINT_DATA %d\n" % len(values)
+    more = b"FIELD FieldData 1\n%b 1 %d double\n%b\n" % (name.encode(), len(values), numbers)
+    gap = b"" if data[:place].endswith(b"\n") else b"\n"
+    return meshes.edited(data, [(place, place, gap + start + more)])
+
+
 def _runs(path: PathLike, data: bytes, found: re.Match[bytes], binary: bool) -> tuple[meshes.Runs, int]:
     """Return cells, and where they end: corners behind their number, or apart from offsets."""
     first, second = int(found[2]), int(found[3])

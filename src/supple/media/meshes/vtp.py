@@ -22,6 +22,7 @@ from supple.media.files import PathLike, refusing, unreadable
 _ROOT = re.compile(rb"<VTKFile\b([^>]*)>")
 _PIECE = re.compile(rb"<Piece\b.*?</Piece\s*>", re.DOTALL)
 _ARRAY = re.compile(rb"<(DataArray|Array)\b([^>]*?)(/>|>(.*?)</\1\s*>)", re.DOTALL)
+_POINT_DATA = re.compile(rb"<PointData\b([^>]*?)(/>|>(.*?)</PointData\s*>)", re.DOTALL)
 _KEY = re.compile(rb"\s*<InformationKey\b.*?</InformationKey\s*>", re.DOTALL)
 _NOTED = rb'\s+Range(?:Min|Max)="[^"]*"|\s*<InformationKey name="L2_NORM(?:_FINITE)?_RANGE".*?</InformationKey\s*>'
 _RANGE = re.compile(_NOTED, re.DOTALL)
@@ -174,6 +175,28 @@ def _read(file: _File, xml: bytes) -> meshes.Mesh:
     return meshes.Mesh(
         vertices, _space(file, xml), rewritten, parts, vectors, np.concatenate([np.zeros(0, np.intp), *at])
     )
+
+
+def noted(data: bytes, name: str, values: meshes.Floats) -> bytes:
+    """Return a file with one array of its points more, or that of its name anew."""
+    appended, first = _APPENDED.search(data), 0
+    edits: list[meshes.Edit] = []
+    for piece in _PIECE.finditer(data[: appended.start() if appended else None]):
+        count = int(_attributes(piece[0][: piece[0].index(b">")]).get("NumberOfPoints", "0"))
+        text = b" ".join(b"%.3g" % x for x in values[first : first + count].tolist())
+        array = b'<DataArray type="Float64" Name="%b" format="ascii">%b</DataArray>\n' % (name.encode(), text)
+        first, section = first + count, _POINT_DATA.search(piece[0])
+        if section is None:
+            place = piece.start() + piece[0].rindex(b"</")
+            edits.append((place, place, b"<PointData>%b</PointData>\n" % array))
+        elif section[2] == b"/>":
+            edits.append((piece.start() + section.start(2), piece.start() + section.end(), b">%b</PointData>" % array))
+        else:
+            known = [a for a in _ARRAY.finditer(section[3]) if _attributes(a[2]).get("Name") == name]
+            inner = piece.start() + section.start(3)
+            edits += [(inner + a.start(), inner + a.end(), b"") for a in known]
+            edits.append((inner + len(section[3]), inner + len(section[3]), array))
+    return meshes.edited(data, edits)
 
 
 def _part(file: _File, pieces: list[re.Match[bytes]], counts: list[int]) -> meshes.Part:

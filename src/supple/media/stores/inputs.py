@@ -54,8 +54,10 @@ class Samples:
     geometry: Geometry | None = None
     interval: float | None = None  # seconds from a time to the next, if they are known
 
-    def __init__(self, path: PathLike, *, raw: RawLayout | None = None, series: str | None = None) -> None:
-        self._path, self._raw, self._series = os.fspath(path), raw, series
+    def __init__(
+        self, path: PathLike, *, raw: RawLayout | None = None, series: str | None = None, irregular: str | None = None
+    ) -> None:
+        self._path, self._reading = os.fspath(path), (raw, series, irregular)
         self._scaling = 1.0, 0.0
         self._lock = threading.Lock()
         self._opened: _Opened | None = None
@@ -65,7 +67,7 @@ class Samples:
             self._opened = self._open_tiff()
         elif whole or volume.is_volume(path):
             self._kind = "volume"
-            found = volume.outline_of(path, raw=raw, series=series)
+            found = volume.outline_of(path, raw=raw, series=series, irregular=irregular)
             check_upright(found.geometry, found.name, "work in blocks")
             self.axes = "tzyx" if found.series else "zyx" if found.samples.ndim == 3 else "czyx"
             shape, self.geometry, self._scaling = found.samples.shape, found.geometry, found.scaling
@@ -118,7 +120,9 @@ class Samples:
         if self._kind == "picture":
             return _Opened(image.read(self._path).pixels, (2, 0, 1) if self.axes == "cyx" else (0, 1))
         order = (3, 0, 1, 2) if self.axes == "czyx" else range(len(self.axes))
-        return _Opened(volume.read(self._path, raw=self._raw, series=self._series).samples, order)
+        raw, series, irregular = self._reading
+        found = volume.read(self._path, raw=raw, series=series, irregular=irregular)
+        return _Opened(found.samples, order)
 
     def _open_tiff(self) -> _Opened:
         """Open a TIFF by tifffile, which reads single tiles and strips, and knows the axes of OME-TIFF and ImageJ."""

@@ -1,4 +1,4 @@
-"""Volume files: NIfTI, NRRD, MetaImage, DICOM series, stacks of TIFF pages, and voxels without a header."""
+"""Volume files: NIfTI, NRRD, MetaImage, .mgz, DICOM series, stacks of TIFF pages, and voxels without a header."""
 
 from __future__ import annotations
 
@@ -26,7 +26,8 @@ __all__ = [
 
 _QUICK = 1 << 31  # bytes up to which `info` computes the range
 _KINDS = (
-    "give NIfTI, NRRD, MetaImage, DICOM, a TIFF or a .dat file, or tell what is in it (--shape, --dtype, --spacing)"
+    "give NIfTI, NRRD, MetaImage, .mgz, DICOM, a TIFF or a .dat file, or tell what is in it (--shape, --dtype, "
+    "--spacing)"
 )
 
 
@@ -35,7 +36,9 @@ def is_dicom(path: PathLike) -> bool:
     return _format(path) == "DICOM"
 
 
-def read(path: PathLike, *, raw: RawLayout | None = None, series: str | None = None) -> Volume:
+def read(
+    path: PathLike, *, raw: RawLayout | None = None, series: str | None = None, irregular: str | None = None
+) -> Volume:
     """Read a volume; uncompressed data are mapped from the file if possible (NIfTI, .dat, headerless).
 
     Parameters
@@ -46,6 +49,9 @@ def read(path: PathLike, *, raw: RawLayout | None = None, series: str | None = N
         The layout of a file without a header; if given, it applies to files of any suffix.
     series : str, optional
         The series of a folder with several: its SeriesInstanceUID, or its number in the list, from 1.
+    irregular : str, optional
+        What becomes of DICOM slices that are missing, or unevenly spaced: by default, they are refused; ``"resample"``
+        interpolates them linearly along the stack, at even steps, with a warning.
 
     Raises
     ------
@@ -53,19 +59,23 @@ def read(path: PathLike, *, raw: RawLayout | None = None, series: str | None = N
         If the file is missing, empty, cut short, damaged, or of an unknown kind; its voxels are not real numbers, or
         not on a regular grid with a spacing above 0.
     """
-    return _read(path, raw, series)
+    return _read(path, raw, series, irregular)
 
 
-def outline_of(path: PathLike, *, raw: RawLayout | None = None, series: str | None = None) -> Volume:
+def outline_of(
+    path: PathLike, *, raw: RawLayout | None = None, series: str | None = None, irregular: str | None = None
+) -> Volume:
     """Return a volume from its header alone; its samples have their shape and type, take no memory, and are 0.
 
     DICOM and TIFF are read for it: their slices tell what they hold one by one.
     """
-    known = _read(path, raw, series, header_only=True)
+    known = _read(path, raw, series, irregular, header_only=True)
     return replace(known, samples=np.broadcast_to(np.zeros((), known.samples.dtype), known.samples.shape))
 
 
-def _read(path: PathLike, layout: RawLayout | None, series: str | None, *, header_only: bool = False) -> Volume:
+def _read(
+    path: PathLike, layout: RawLayout | None, series: str | None, irregular: str | None, *, header_only: bool = False
+) -> Volume:
     form = "raw" if layout is not None else _format(path)
     if form == "raw":
         return raw.read_dat(path) if layout is None and suffix_of(path) == ".dat" else raw.read(path, layout)
@@ -74,11 +84,15 @@ def _read(path: PathLike, layout: RawLayout | None, series: str | None, *, heade
     if form == "DICOM":
         from supple.media.volume import dicom
 
-        return dicom.read(path, series)
+        return dicom.read(path, series, irregular)
     if form == "NIfTI":
         from supple.media.volume import nifti
 
         return nifti.read(path, header_only=header_only)
+    if form == "MGH":
+        from supple.media.volume import mgh
+
+        return mgh.read(path, header_only=header_only)
     from supple.media.volume import itk
 
     return itk.read(path, form, header_only=header_only)
@@ -127,6 +141,10 @@ def check_target(
         known = rescaled_dtype(known, like.scaling)
     if suffix in stack.SUFFIXES:
         stack.check(path, like, known)
+    elif FORMATS[suffix] == "MGH":
+        from supple.media.volume import mgh
+
+        mgh.check(path, like, known)
     elif known.name not in DTYPES:
         raise unwritable(path, f"volumes hold no {known} values", f"use one of {', '.join(DTYPES)}")
 
@@ -166,12 +184,19 @@ def write(path: PathLike, samples: Array, like: Volume, *, force: bool = False) 
     if suffix in stack.SUFFIXES:
         stack.write(path, meant, like, force=force)
         return
+    if FORMATS[suffix] == "MGH":
+        from supple.media.volume import mgh
+
+        mgh.write(path, meant, like, force=force)
+        return
     from supple.media.volume import itk
 
     itk.write(path, meant, like, force=force)
 
 
-def info(path: PathLike, *, raw: RawLayout | None = None, series: str | None = None) -> dict[str, object]:
+def info(
+    path: PathLike, *, raw: RawLayout | None = None, series: str | None = None, irregular: str | None = None
+) -> dict[str, object]:
     """Return the facts on a volume.
 
     Returns
@@ -195,7 +220,7 @@ def info(path: PathLike, *, raw: RawLayout | None = None, series: str | None = N
                 for k, one in enumerate(found, 1)
             ]
             return {"format": "DICOM", "series": kinds}
-    volume = read(path, raw=raw, series=series)
+    volume = read(path, raw=raw, series=series, irregular=irregular)
     samples, geometry = volume.samples, volume.geometry
     low, high, nans = _range(samples) if samples.nbytes <= _QUICK else (None, None, None)
     unit = {}

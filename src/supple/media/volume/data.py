@@ -34,12 +34,13 @@ class Volume:
     samples: Array
     geometry: Geometry
     name: str = "the volume"  # of the file, for messages
-    format: str = ""  # "NIfTI", "NRRD", "MetaImage", "DICOM", "TIFF" or "raw"
+    format: str = ""  # "NIfTI", "NRRD", "MetaImage", "MGH", "DICOM", "TIFF" or "raw"
     series: bool = False  # whether the first axis is time
     header: Any = None  # in the file's format; of DICOM, the path of the file of many frames, or those of the slices
     scaling: tuple[float, float] = (1.0, 0.0)  # the values are slope * samples + intercept
     interval: float = 1.0  # seconds between the volumes of a series
     regridded: bool = False  # whether the samples and the geometry are not those of the header
+    resampled: str = ""  # how they were resampled when they were read, for what is derived from them
 
     @property
     def sizes(self) -> tuple[int, int, int]:

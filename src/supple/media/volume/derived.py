@@ -82,11 +82,11 @@ def write(path: PathLike, samples: Array, like: Volume, *, force: bool = False) 
     r"""Write a series of slices into a new folder, or a file of many frames; it appears whole or not at all.
 
     Each slice has what the nearest slice of the source has, but for: its pixels and place; UIDs of its own and of the
-    series; ``DERIVED\SECONDARY``, a description that says so, and that it is not for diagnosis. Private attributes,
-    overlays and signatures are left out, which may describe the source's pixels. Values keep the source's rescale slope
-    and intercept if all slices have the same and the values fit; otherwise, each slice gets a slope of its own, and is
-    stored in 16 bits. Frames are as slices, and have one slope; the image type of those with functional groups is
-    ``DERIVED\PRIMARY``, since their classes have no other.
+    series; ``DERIVED\SECONDARY``, a description that says so, and that it is not for diagnosis, and how slices at
+    uneven places were interpolated before. Private attributes, overlays and signatures are left out, which may describe
+    the source's pixels. Values keep the source's rescale slope and intercept if all slices have the same and the values
+    fit; otherwise, each slice gets a slope of its own, and is stored in 16 bits. Frames are as slices, and have one
+    slope; the image type of those with functional groups is ``DERIVED\PRIMARY``, since their classes have no other.
 
     Samples (Z, H, W) or (Z, H, W, 3) are in the units of the files (Hounsfield's, for CT); of doses, as they are
     stored. ``like`` is the source, with the paths of its slices, or its own, as the header, and the geometry to write.
@@ -103,7 +103,7 @@ def _stamp(pydicom: Any) -> tuple[Any, datetime.datetime]:
 
 def _write_frames(pydicom: Any, path: PathLike, samples: Array, like: Volume, force: bool) -> None:
     source = _source(path, like)
-    made = _derived(pydicom, source.head, _stamp(pydicom))
+    made = _derived(pydicom, source.head, _stamp(pydicom), like.resampled)
     scale = _set_pixels(made, samples, source.scale)
     if scale != source.scale:
         for group in (*(made.get("SharedFunctionalGroupsSequence") or ()), *(made.get(_GROUPS) or ())):
@@ -127,7 +127,7 @@ def _write_slices(pydicom: Any, path: PathLike, samples: Array, like: Volume, _:
         for k, slab in enumerate(samples):
             place = like.geometry.to_lps((0.0, 0.0, k))
             near = _nearest(places, place)
-            made = _derived(pydicom, heads[near], stamp)
+            made = _derived(pydicom, heads[near], stamp, like.resampled)
             made.InstanceNumber = k + 1
             scale = _set_pixels(made, slab[None], next(iter(common)) if len(common) == 1 else None)
             if made.get(_GROUPS):
@@ -163,7 +163,7 @@ def _scale_of(head: Any) -> tuple[float, float]:
     return float(head.get("RescaleSlope") or 1), float(head.get("RescaleIntercept") or 0)
 
 
-def _derived(pydicom: Any, head: Any, common: tuple[Any, datetime.datetime]) -> Any:
+def _derived(pydicom: Any, head: Any, common: tuple[Any, datetime.datetime], resampled: str) -> Any:
     """Return the data of a new slice or file, without pixels and place."""
     from supple import __version__
 
@@ -182,7 +182,8 @@ def _derived(pydicom: Any, head: Any, common: tuple[Any, datetime.datetime]) -> 
     made.SeriesNumber = series_number(head)
     made.SeriesDescription = ended(str(head.get("SeriesDescription") or ""), f"bent, {WARNING}")
     made.ImageType = ["DERIVED", "SECONDARY", *list(head.get("ImageType") or ())[2:]]
-    made.DerivationDescription = f"Bent by Supple {__version__}, a non-rigid deformation. {WARNING}"
+    before = f"Of a source whose {resampled}. " if resampled else ""
+    made.DerivationDescription = f"{before}Bent by Supple {__version__}, a non-rigid deformation. {WARNING}"
     made.DerivationCodeSequence = [_code(pydicom, "113085", "Spatial resampling")]
     made.SourceImageSequence = [source]
     made.ImageComments = f"Bent by Supple: {WARNING}"

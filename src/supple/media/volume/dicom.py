@@ -8,7 +8,7 @@ import os
 import re
 import warnings
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +20,7 @@ from supple.media.volume.data import Array, Volume, check_spacing, located
 from supple.media.volume.frames import frames_of
 from supple.media.volume.frames import imported as with_pydicom
 from supple.media.volume.itk import check_voxels, failing, geometry_of, imported, silence
+from supple.space.checks import choice
 
 _UID, _NUMBER, _TEXT, _PIXEL_SPACING = "0020|000e", "0020|0011", "0008|103e", "0028|0030"
 _THICKNESS, _BETWEEN, _BITS = "0018|0050", "0018|0088", "0028|0100"
@@ -174,7 +175,7 @@ def described(found: list[Series]) -> str:
     return ", ".join(parts)
 
 
-def read(path: PathLike, series: str | None = None) -> Volume:
+def read(path: PathLike, series: str | None = None, irregular: str | None = None) -> Volume:
     """Read a series of slices, or one file that holds many, as in `supple.media.volume.read`.
 
     Values are in the units of the files: for CT, Hounsfield's. No data on the patient are kept. SuppleError if there is
@@ -182,6 +183,8 @@ def read(path: PathLike, series: str | None = None) -> Volume:
     others; the slices are not stacked along a line; or a file cannot be read. Slices of a tilted gantry, whose line is
     not their normal, make a sheared geometry.
     """
+    if irregular is not None:
+        choice("irregular", irregular, ("resample",))
     sitk, file = imported(), Path(path)
     if not file.is_dir():
         head_of(path, 1)
@@ -194,10 +197,10 @@ def read(path: PathLike, series: str | None = None) -> Volume:
             with failing(path, "DICOM"):  # which says why
                 reader = _informed(sitk, os.fspath(path))
         if reader.GetSize()[2:3] > (1,):
-            return _frames(path, sitk, reader, path)
+            return _frames(path, sitk, reader, path, irregular)
         found = listed(file.parent, nested=False)
-        return _stacked(path, sitk, _chosen(found, path, series or _tag(reader, _UID)))
-    return _stacked(path, sitk, _chosen(listed(file), path, series))
+        return _stacked(path, sitk, _chosen(found, path, series or _tag(reader, _UID)), irregular)
+    return _stacked(path, sitk, _chosen(listed(file), path, series), irregular)
 
 
 def _chosen(found: list[Series], path: PathLike, series: str | None) -> Series:
@@ -241,23 +244,25 @@ def _check_pixels(path: PathLike, reader: Any) -> None:
         check_spacing(path, steps)
 
 
-def _frames(path: PathLike, sitk: Any, reader: Any, file: PathLike) -> Volume:
+def _frames(path: PathLike, sitk: Any, reader: Any, file: PathLike, irregular: str | None) -> Volume:
     """Read one file that holds all slices; ``path`` is for messages."""
     check_voxels(path, sitk, reader)
     _check_pixels(path, reader)
-    known, order = frames_of(file), None
+    known, order, uneven = frames_of(file), None, None
     if known.places is None:
         geometry = geometry_of(path, reader)
     else:
         names = [f"frame {k + 1}" for k in range(len(known.places))]
-        order, step, direction = _ordered(path, names, known.places, known.direction, min(known.spacing))
+        stack = known.places, known.direction, min(known.spacing)
+        order, step, direction, uneven = _ordered(path, names, *stack, irregular)
         geometry = located(path, [*known.spacing, step], known.places[order[0]].tolist(), direction, "LPS")
     with failing(path, "DICOM", tuple(reader.GetSize())):
         samples = known.rescaled(sitk.GetArrayFromImage(reader.Execute()))
     if order is not None and (np.diff(order) != 1).any():
         samples = samples[order]
     scaling, name = _dose(path, reader), os.path.abspath(file)
-    return Volume(_narrowed(samples, [reader]), geometry, shown(path), "DICOM", header=name, scaling=scaling)
+    made = Volume(_narrowed(samples, [reader]), geometry, shown(path), "DICOM", header=name, scaling=scaling)
+    return made if uneven is None else _resampled(made, uneven, step)
 
 
 def _dose(path: PathLike, reader: Any) -> tuple[float, float]:
@@ -287,8 +292,8 @@ def _narrowed(samples: Array, readers: list[Any]) -> Array:
     return samples.astype(np.int16) if known.min <= samples.min() and samples.max() <= known.max else samples
 
 
-def _stacked(path: PathLike, sitk: Any, series: Series) -> Volume:
-    readers = []
+def _stacked(path: PathLike, sitk: Any, series: Series, irregular: str | None) -> Volume:
+    readers, uneven = [], None
     for name in series.paths:
         with failing(name, "DICOM"):
             readers.append(_informed(sitk, name))
@@ -296,7 +301,7 @@ def _stacked(path: PathLike, sitk: Any, series: Series) -> Volume:
         _check_pixels(name, readers[-1])
     first = readers[0]
     if len(readers) == 1 and first.GetSize()[2:3] > (1,):
-        return _frames(path, sitk, first, series.paths[0])
+        return _frames(path, sitk, first, series.paths[0], irregular)
     for name, reader in zip(series.paths, readers, strict=True):
         if reader.GetSize()[2:3] > (1,):
             raise unreadable(path, f"{shown(Path(name).name)} is one of several files of many frames", "name that file")
@@ -305,7 +310,8 @@ def _stacked(path: PathLike, sitk: Any, series: Series) -> Volume:
     places = np.array([reader.GetOrigin() for reader in readers])
     if len(readers) > 1:
         told = [shown(Path(name).name) for name in series.paths]
-        order, step, direction = _ordered(path, told, places, direction, min(first.GetSpacing()[:2]))
+        stack = places, direction, min(first.GetSpacing()[:2])
+        order, step, direction, uneven = _ordered(path, told, *stack, irregular)
     else:
         order, step = np.zeros(1, np.intp), float(first.GetSpacing()[2])
         with contextlib.suppress(ValueError):  # GDCM only knows the distance between slices
@@ -324,31 +330,48 @@ def _stacked(path: PathLike, sitk: Any, series: Series) -> Volume:
         samples = sitk.GetArrayFromImage(reader.Execute())
     if len(scalings := {_dose(name, one) for name, one in zip(series.paths, readers, strict=True)}) > 1:
         raise unreadable(path, "its slices have several dose grid scalings", "give one file of many frames")
-    made = _narrowed(samples, readers), geometry, shown(path), "DICOM"
-    return Volume(*made, header=tuple(os.path.abspath(name) for name in names), scaling=scalings.pop())
+    own = tuple(os.path.abspath(name) for name in names)
+    made = Volume(_narrowed(samples, readers), geometry, shown(path), "DICOM", header=own, scaling=scalings.pop())
+    return made if uneven is None else _resampled(made, uneven, step)
+
+
+def _resampled(volume: Volume, places: Array, step: float) -> Volume:
+    """Return a volume whose slices, at some places along the stack, are interpolated linearly at even steps."""
+    count = round(float(places[-1]) / step) + 1
+    at = np.clip(np.searchsorted(places, np.arange(count) * step, "right") - 1, 0, len(places) - 2)
+    part = np.clip((np.arange(count) * step - places[at]) / np.diff(places)[at], 0.0, 1.0)
+    samples = np.empty((count, *volume.samples.shape[1:]), volume.samples.dtype)
+    for k, (i, t) in enumerate(zip(at.tolist(), part.tolist(), strict=True)):
+        mixed = (1 - t) * volume.samples[i] + t * volume.samples[i + 1]
+        samples[k] = mixed if samples.dtype.kind == "f" else np.rint(mixed)
+    gaps = np.diff(places)
+    text = f"{len(places)} slices, {gaps.min():.4g} to {gaps.max():.4g} mm apart, are interpolated linearly"
+    text = f"{text} at {count} places, {step:.4g} mm apart"
+    warnings.warn(f"{volume.name}: its {text}", VolumeWarning, stacklevel=7)
+    return replace(volume, samples=samples, regridded=True, resampled=text)
 
 
 def _ordered(
-    path: PathLike, names: list[str], places: Array, direction: Array, pixel: float
-) -> tuple[Array, float, Array]:
-    """Return the order of slices along their normal, the step, and the directions of the axes.
+    path: PathLike, names: list[str], places: Array, direction: Array, pixel: float, irregular: str | None
+) -> tuple[Array, float, Array, Array | None]:
+    """Return the order of slices along their normal, the step, the directions of the axes, and places that are uneven.
 
     The third axis is the normal, or, if slices are offset sideways (a tilted gantry, for one), the line of their first
-    pixels. SuppleError if they are not evenly stacked.
+    pixels. SuppleError if they are not evenly stacked, and this is not accepted as ``irregular``.
     """
     along = (places - places[0]) @ direction[:, 2]
     order = np.argsort(along, kind="stable")
-    step = _check_steps(path, [names[k] for k in order], along[order])
+    step, even = _check_steps(path, [names[k] for k in order], along[order], irregular)
     stack = places[order] - places[order][0]
     upwards, line = along[order] - along[order][0], stack[-1] / np.linalg.norm(stack[-1])
     if np.abs(stack - np.outer(upwards, direction[:, 2])).max() <= _ASIDE * pixel:
-        return order, step, direction
+        return order, step, direction, None if even else upwards
     lean = float(line @ direction[:, 2])
     aside = np.abs(stack - np.outer(upwards / lean, line)).max(axis=1)
     if (worst := float(aside.max())) > _ASIDE * pixel:
         told = f"its slices are offset sideways, and along no line: {names[order[aside.argmax()]]} by {worst:.3g} mm"
         raise unreadable(path, told, "resample it first")
-    return order, step / lean, np.column_stack([direction[:, :2], line])
+    return order, step / lean, np.column_stack([direction[:, :2], line]), None if even else upwards / lean
 
 
 def _require_alike(path: PathLike, first: tuple[str, Any], other: tuple[str, Any]) -> None:
@@ -363,7 +386,8 @@ def _require_alike(path: PathLike, first: tuple[str, Any], other: tuple[str, Any
             raise unreadable(path, f"its slices have several {what} ({names})", "take the odd ones out")
 
 
-def _check_steps(path: PathLike, names: list[str], along: Array) -> float:
+def _check_steps(path: PathLike, names: list[str], along: Array, irregular: str | None) -> tuple[float, bool]:
+    """Return the step of slices, and whether they are even; otherwise, it is that of their number at the usual one."""
     steps = np.diff(along)
     usual = float(np.sort(steps)[(len(steps) - 1) // 2])  # the median, or the smaller one of the two
     even = float((along[-1] - along[0]) / len(steps))
@@ -374,11 +398,16 @@ def _check_steps(path: PathLike, names: list[str], along: Array) -> float:
     if ((closest := int(steps.argmin())) >= 0 and steps[closest] < _ALONG * usual) or usual <= 0:
         told = f"{between(closest)} lie at the same place"
         raise unreadable(path, told, "take one of them out, or give a series of one time and kind")
+    uneven = np.abs(along - along[0] - even * np.arange(len(along))).max() > _ALONG * even
     widest = int(steps.argmax())
+    accept = f"or accept it: {argument('irregular', 'resample')} interpolates between them"
+    if irregular is not None and (uneven or steps[widest] > 1.5 * usual):
+        length = float(along[-1] - along[0])
+        return length / max(round(length / usual), 1), False
     if steps[widest] > 1.5 * usual:
         told = f"slices are missing between {between(widest)} ({steps[widest]:g} mm, elsewhere {usual:g} mm)"
-        raise unreadable(path, told, "give all of them")
-    if np.abs(along - along[0] - even * np.arange(len(along))).max() > _ALONG * even:
+        raise unreadable(path, told, f"give all of them, {accept}")
+    if uneven:
         told = f"its slices lie from {steps.min():g} to {steps.max():g} mm apart"
-        raise unreadable(path, told, "resample it to even steps first")
-    return even
+        raise unreadable(path, told, f"resample it to even steps first, {accept}")
+    return even, True
