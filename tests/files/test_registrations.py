@@ -11,9 +11,9 @@ import SimpleITK as sitk  # noqa: N813
 
 import supple
 from supple.errors import SuppleError
+from supple.fields import Field, Placed
 from supple.files import warp_file
 from supple.files.registrations import write_map
-from supple.fields import Field, Placed
 from supple.media import volume as volumes
 from supple.space.affine import Affine
 from supple.strokes import Recipe, Stroke
@@ -98,9 +98,7 @@ def test_the_field_is_written_in_the_conventions_of_others(heads: Any, tmp_path:
     assert np.abs(read.values - wanted.values).max() < 1e-3
 
 
-def test_the_command_applies_what_a_window_with_a_fixed_volume_saved(
-    heads: Any, tmp_path: Path, run: Any
-) -> None:
+def test_the_command_applies_what_a_window_with_a_fixed_volume_saved(heads: Any, tmp_path: Path, run: Any) -> None:
     moving, fixed, maps = heads
     recipe = Recipe(strokes=STROKES, size=SHAPE[::-1])
     (tmp_path / "strokes.json").write_text(recipe.to_json())
@@ -125,5 +123,5 @@ def test_a_fixed_image_is_for_volumes(tmp_path: Path) -> None:
     from supple.media import image
 
     image.write(tmp_path / "a.png", pixels)
-    with pytest.raises(SuppleError, match="fixed is for volumes, and .*a.png is a picture"):
+    with pytest.raises(SuppleError, match=r"fixed is for volumes, and .*a.png is a picture"):
         warp_file(tmp_path / "a.png", tmp_path / "b.png", Recipe(), grid=supple.GridOptions("a.png", strokes=True))

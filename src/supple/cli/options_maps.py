@@ -268,7 +268,7 @@ class Maps:
     def __init__(self, entries: Sequence[_Entry], output: OutputOptions | None = None, *, back: bool = False) -> None:
         self._entries = list(entries)
         self._elsewhere = output is not None
-        self._reference = None if output is None else output.onto
+        self.reference = None if output is None else output.onto
         self.back = back
         self._lock = threading.Lock()
         self._known: tuple[Grid | None, list[tuple[list[Placed], str | None]]] | None = None
@@ -296,8 +296,8 @@ class Maps:
             if self._known is None or self._known[0] != source:
                 fixed, refused = None, None
                 try:
-                    if self._reference is not None and source is not None:
-                        fixed = reference_grid(self._reference, source.ndim)
+                    if self.reference is not None and source is not None:
+                        fixed = reference_grid(self.reference, source.ndim)
                 except SuppleError as error:
                     refused = error  # unless it is not needed: pages become a volume by what the maps are
                 most = len(self._entries) - 1
@@ -352,8 +352,8 @@ class Maps:
 
         if source.ndim != 2:
             return
-        output = source if self._reference is None else reference_grid(self._reference, 2)
-        ends = {0: (source, name), len(self._entries): (output, shown(self._reference or name))}
+        output = source if self.reference is None else reference_grid(self.reference, 2)
+        ends = {0: (source, name), len(self._entries): (output, shown(self.reference or name))}
         within: dict[int, list[tuple[_Entry, Grid]]] = {}
         for k, (entry, (placed, convention)) in enumerate(zip(self._entries, self._read(source), strict=True)):
             held = placed[0].map if placed else None

@@ -27,6 +27,10 @@ def view(
     time: TimeOptions = _TIME,
     labels: Annotated[bool, Parameter(group=VOLUME)] = False,
     points: Annotated[str | None, Parameter(group=VOLUME, metavar="FILE")] = None,
+    fixed: Annotated[str | None, Parameter(group=VOLUME, metavar="FILE")] = None,
+    fixed_points: Annotated[str | None, Parameter(group=VOLUME, metavar="FILE")] = None,
+    segmentation: Annotated[str | None, Parameter(group=VOLUME, metavar="FILE")] = None,
+    label_colours: Annotated[str | None, Parameter(group=VOLUME, metavar="FILE")] = None,
     volume: VolumeArguments = _VOLUME,
 ) -> None:
     """Open a window to bend a picture, video or volume by hand.
@@ -47,6 +51,14 @@ def view(
         The volume is a label map: exports take the label of the nearest voxel, and labels are not mixed.
     points
         Landmarks to show: CSV, or 3D Slicer's .fcsv and .mrk.json.
+    fixed
+        The fixed volume of a registration: the other one is seen, and bent, on its grid, and compared with it.
+    fixed_points
+        Landmarks of the fixed volume, as pairs with those of --points.
+    segmentation
+        Labels to show over the volume, which move with it.
+    label_colours
+        Names and colours of labels: a colour table of 3D Slicer (.ctbl), FreeSurfer or ITK-SNAP (.txt).
     """
     from supple.viewer.window.launch import ViewOptions, show
     from supple.viewer.window.launch import serve as serve_it
@@ -63,9 +75,12 @@ def view(
     elements = maps.to_maps(current().arguments, recipe, strokes)
     reading = volume.to_reading(labels=labels)
     from supple.files.jobs import Job
+    from supple.files.options import GridOptions
     from supple.strokes import Recipe
 
-    placed = elements.placed(current(), Job(source, "", Recipe(), volume=reading)).maps
+    onto = None if fixed is None else GridOptions(fixed, strokes=True)
+    elements.reference = fixed
+    placed = elements.placed(current(), Job(source, "", Recipe(), volume=reading, grid=onto)).maps
     scale = time.time_scale or (recipe and recipe.time_scale) or 1.0
     options = ViewOptions(
         time_scale=scale,
@@ -74,6 +89,10 @@ def view(
         fit=strokes.to_fit(),
         points=points,
         convention=convention,
+        fixed=fixed,
+        fixed_points=fixed_points,
+        segmentation=segmentation,
+        label_colours=label_colours,
         frame=None if frame is None else typed.read("--frame", frame),
     )
     if port and not serve:

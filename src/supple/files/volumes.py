@@ -210,10 +210,10 @@ def warp(job: Job, tell: Tell) -> Warped:
     if not (suffix_of(target).startswith(".nii") or suffix_of(target) in derived.SUFFIXES):  # others hold no scaling
         volume = replace(volume, samples=volume.rescaled(), scaling=(1.0, 0.0))
     regrid = grid_on(grid, volume.grid, volume.name, maps)
-    on = volume
+    seen = volume  # where the strokes are
     if grid is not None and grid.strokes and grid.reference is not None:
-        on = moved(volume, reference_grid(grid.reference, 3), grid)
-    deformation = deformation_of(job.recipe, on, world=known.world, fit=job.fit, maps=maps)
+        seen = moved(volume, reference_grid(grid.reference, 3), grid)
+    deformation = deformation_of(job.recipe, seen, world=known.world, fit=job.fit, maps=maps)
     warn_of_still(job.recipe.strokes)
     background = None
     if job.outside is None and grid is not None and grid.reference is not None:  # much may lie outside of the input
@@ -244,7 +244,7 @@ def warp(job: Job, tell: Tell) -> Warped:
     return Warped(
         Path(source), Path(target), "volume", (deformation,), sampling.tolerance, found.error,
         len(volume.samples) if volume.series else 1, geometry=volume.geometry, grid=regrid,
-        own=None if on.grid == deformation.grid else on.grid, folded=found.folded, outside=found.outside,
+        own=None if seen.grid == deformation.grid else seen.grid, folded=found.folded, outside=found.outside,
         unsolved=found.unknown, background=background,
     )  # fmt: skip
 

@@ -13,6 +13,8 @@ Point = tuple[float, float, float]
 
 RENDERED = 3
 """The number of the rendering among the views; 0, 1 and 2 are the axial, the coronal and the sagittal plane."""
+FIXED = 4
+"""The numbers of the same planes of a fixed volume begin here."""
 GAP = 2.0  # logical pixels between two views
 _MARGIN = 0.9  # of a view: a plane that fits leaves room for letters
 _NEAREST, _FARTHEST = 40.0, 0.5  # zoom, relative to planes that fit
@@ -168,9 +170,20 @@ def _within(point: tuple[float, ...], sizes: tuple[int, ...]) -> Point:
     return x, y, z
 
 
-def places_of(canvas: Pair, large: int | None, top: float = 0.0) -> dict[int, Place]:
-    """Return the places of the visible views, on a canvas that begins there: the rendering is at the upper right."""
+def places_of(canvas: Pair, large: int | None, top: float = 0.0, beside: bool = False) -> dict[int, Place]:
+    """Return the places of the visible views, on a canvas that begins there: the rendering is at the upper right.
+
+    With ``beside``, the planes of a fixed volume are below those of the other one, and beside a plane that is large.
+    """
     width, height = canvas
+    if beside and large != RENDERED:
+        planes = range(RENDERED) if large is None else (large,)
+        across = max((width - GAP * (2 if large is None else 1)) / (3 if large is None else 2), 1.0)
+        high = max((height - GAP) / 2, 1.0) if large is None else height
+        above = {k: (i * (across + GAP), top) for i, k in enumerate(planes)}
+        steps = (0.0, high + GAP) if large is None else (across + GAP, 0.0)
+        other = {k + FIXED: (x + steps[0], y + steps[1]) for k, (x, y) in above.items()}
+        return {k: (x, y, across, high) for k, (x, y) in (above | other).items()}
     if large is not None:
         return {large: (0.0, top, width, height)}
     across, down = max((width - GAP) / 2, 1.0), max((height - GAP) / 2, 1.0)
@@ -183,7 +196,7 @@ def fitting(places: dict[int, Place], planes: tuple[Plane, ...], sizes: tuple[in
     """Return the logical pixels of a millimetre at which all visible planes fit."""
     extent = [n * s for n, s in zip(sizes, spacing, strict=True)]
     fits = [
-        _MARGIN * min(place[2] / extent[planes[k].across], place[3] / extent[planes[k].down])
+        _MARGIN * min(place[2] / extent[planes[k % FIXED].across], place[3] / extent[planes[k % FIXED].down])
         for k, place in places.items()
         if k != RENDERED
     ]
