@@ -11,8 +11,8 @@ from imgui_bundle import imgui
 
 from supple.viewer.panels import theme
 from supple.viewer.panels.view import View
-from supple.viewer.tools.drawing import Pair
-from supple.viewer.tools.planes import FIXED, Pane
+from supple.viewer.tools.drawing import Pair, Place
+from supple.viewer.tools.planes import FIXED, RENDERED, Pane
 from supple.viewer.tools.volumes import VolumeTools
 
 Write = Callable[..., None]
@@ -70,7 +70,7 @@ def draw(
         if away <= 0.5 and name:
             said = f"{name}  {deep:.0f} mm deep" if deep > _BURIED else name
             size = imgui.calc_text_size(said)
-            x, y, far = _room(taken, at, size.x, size.y)
+            x, y, far = _room(taken, at, size.x, size.y, tools.places[k if pane is not None else RENDERED])
             taken.append((x, y, x + size.x, y + size.y))
             if far:
                 lines.add_line(at, (x if x > at[0] else x + size.x, y + 0.5 * size.y), faint, 1.0)
@@ -105,8 +105,12 @@ def _corners(at: Pair) -> list[Any]:
     return [imgui.ImVec2(at[0] + a, at[1] + b) for a, b in ((0, -5), (5, 0), (0, 5), (-5, 0))]
 
 
-def _room(taken: list[Box], at: Pair, wide: float, high: float) -> tuple[float, float, bool]:
-    """Return the upper left corner of a name where no other lies, near its landmark, and whether it is farther away."""
+def _room(taken: list[Box], at: Pair, wide: float, high: float, place: Place) -> tuple[float, float, bool]:
+    """Return the upper left corner of a name where no other lies, near its landmark, and whether it is farther away.
+
+    It is within the view, if there is room.
+    """
+    ends = place[0] + place[2], place[1] + place[3]
     (x, y), right, left = at, at[0] + _BESIDE, at[0] - _BESIDE - wide
     near = [
         (right, y - high / 2),
@@ -117,12 +121,14 @@ def _room(taken: list[Box], at: Pair, wide: float, high: float) -> tuple[float, 
     steps = (sign * row for row in range(1, _ROWS) for sign in (-1, 1))
     far = [(side, y - high / 2 + step * high) for step in steps for side in (right + _BESIDE, left - _BESIDE)]
     for k, (a, b) in enumerate([*near, *far]):
+        a = max(min(a, ends[0] - wide), place[0]) if k >= len(near) else a
         box = (a, b, a + wide, b + high)
         others = np.array(taken).reshape(-1, 4)
         apart = (
             (others[:, 0] >= box[2]) | (others[:, 2] <= box[0]) | (others[:, 1] >= box[3]) | (others[:, 3] <= box[1])
         )
         own = (np.abs(others[:, :2] + 5 - at) < 0.5).all(axis=1) & (k >= len(near))  # a line leads from there
-        if (apart | own).all():
+        within = place[0] <= box[0] and place[1] <= box[1] and box[2] <= ends[0] and box[3] <= ends[1]
+        if within and (apart | own).all():
             return a, b, k >= len(near)
     return right, y - high / 2, False

@@ -123,12 +123,16 @@ def _list(view: View, tools: VolumeTools, marks: Landmarks, residuals: np.ndarra
         imgui.push_style_color(imgui.Col_.text, theme.TEXT if whole else theme.FAINT)
         said = f"{residuals[i]:.2f} mm" if whole else "one point"
         at = imgui.get_content_region_avail().x - imgui.calc_text_size(said).x
-        if imgui.selectable(f"{name}##landmark", False, size=(max(at - 8, 20), size))[0]:
+        imgui.push_style_var(imgui.StyleVar_.selectable_text_align, (0.0, 0.5))
+        chosen = imgui.selectable(f"{name}##landmark", False, size=(max(at - 8, 20), size))[0]
+        imgui.pop_style_var()
+        if chosen:
             where = marks.moved(view.document.deformation)[i]
             tools.sight = tools.sight.at(tuple(where if np.isfinite(where[0]) else marks.fixed[i]), tools.sizes)
             view.refresh()
         hint(f"{before[i]:.2f} mm before strokes; click to go there" if whole else "Click to go there")
         imgui.same_line()
+        imgui.align_text_to_frame_padding()
         imgui.text(said)
         imgui.pop_style_color()
         imgui.pop_id()
