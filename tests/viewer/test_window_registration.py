@@ -378,6 +378,58 @@ def test_landmarks_inside_say_how_deep_they_are(gpu: Gpu, tmp_path: Path, monkey
             assert left >= c or a >= right or top >= d or b >= bottom, (said, other)
 
 
+def test_an_oblique_volume_is_reformatted_along_the_patients_axes(gpu: Gpu, tmp_path: Path) -> None:
+    """Planes along LPS are those that SimpleITK resamples; a drag in one is a stroke in voxels that stays in it."""
+    image = sitk.ReadImage(str(DATA / "head.nii.gz"), sitk.sitkInt16)
+    angle = np.radians(17.0)
+    turn = np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]])
+    tilt = np.array([[1, 0, 0], [0, np.cos(0.2), -np.sin(0.2)], [0, np.sin(0.2), np.cos(0.2)]])
+    image.SetDirection((turn @ tilt @ np.reshape(image.GetDirection(), (3, 3))).ravel().tolist())
+    sitk.WriteImage(image, str(tmp_path / "oblique.nii.gz"))
+    recipe = Recipe(border=None, strokes=(Stroke.grab((45, 60, 40), by=(3, -6, 4), radius=20),))
+    view, hand = opened(tmp_path / "oblique.nii.gz", recipe, size=(1280, 800))
+    tools = view.tools
+    boxes = [overlay._lies(tools, tools.pane(k)) for k in range(3)]
+    assert all(re.fullmatch(r"[SIAPLR] [0-9.]+ mm, oblique by [0-9.]+\u00b0", said) for said in boxes)
+    tools.reformat(True)
+    hand.canvas.draw()
+    assert re.fullmatch(r"[SI] [0-9.]+ mm", overlay._lies(tools, tools.pane(0)))
+    grid = tools.upright.grid
+    assert np.allclose(np.abs(np.array(grid.direction)), np.eye(3), atol=1e-12)
+    bent = warp_file(tmp_path / "oblique.nii.gz", tmp_path / "bent.nii.gz", recipe)
+    like = sitk.Image(list(grid.sizes), sitk.sitkInt16)
+    like.SetSpacing(grid.spacing)
+    like.SetOrigin(grid.origin)
+    like.SetDirection(np.array(grid.direction).ravel().tolist())
+    wanted = sitk.GetArrayFromImage(
+        sitk.Resample(sitk.ReadImage(str(bent.target)), like, sitk.Transform(), sitk.sitkLinear)
+    )
+    for k in range(3):
+        pane = tools.pane(k)
+        axis, index = pane.plane.axis, pane.index[pane.plane.axis]
+        made = view.slices.sampled(view.document.deformation, axis, index).astype(float)
+        there = np.take(wanted, index, axis=2 - axis).astype(float)
+        assert np.corrcoef(made.ravel(), there.ravel())[0, 1] > 0.99
+    # A point of the plane is where it is seen, and a drag to the right goes along the patient's axis.
+    left, top, width, height = tools.places[0]
+    at = left + 0.5 * width, top + 0.4 * height
+    hand.move(*at)
+    point = tools.hover
+    assert tools.pane(0).to_canvas(point) == pytest.approx(at)
+    hand.drag(at, (at[0] + 30, at[1]))
+    stroke = view.document.strokes[-1]
+    geometry = view.document.geometry
+    ends = [geometry.to_lps(stroke.at), geometry.to_lps(np.add(stroke.at, stroke.by))]
+    assert ends[1] - ends[0] == pytest.approx((30 / tools.pane(0).scale, 0, 0), abs=1e-6)
+    before = tools.sight.cross
+    hand.wheel(*at, -100.0)
+    gone = geometry.to_lps(tools.sight.cross) - geometry.to_lps(before)
+    assert gone == pytest.approx((0, 0, grid.spacing[2]), abs=1e-6)
+    tools.reformat(False)
+    hand.canvas.draw()
+    view.document.mark_saved()
+
+
 def test_strokes_in_millimetres_are_listed_in_millimetres(gpu: Gpu, monkeypatch: pytest.MonkeyPatch) -> None:
     geometry = volumes.outline_of(DATA / "head.nii.gz").geometry
     at = geometry.to_world((45, 60, 40), "RAS").tolist()

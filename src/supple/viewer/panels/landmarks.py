@@ -81,9 +81,8 @@ def _away(point: list[float], pane: Pane | None) -> float | None:
     """Return how far a point lies from a plane, in voxels; None where it is too far to be seen."""
     if pane is None:
         return 0.0
-    axis = pane.plane.axis
-    away = abs(point[axis] - pane.index[axis])
-    return None if away > 0.5 and away * pane.spacing[axis] > _NEARBY else away
+    away = abs(pane.away(tuple(point)))
+    return None if away > 0.5 and away * pane.spacing[pane.plane.axis] > _NEARBY else away
 
 
 def _depth(tools: VolumeTools, at: Pair, point: tuple[float, ...]) -> float:

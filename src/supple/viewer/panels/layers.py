@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -19,6 +20,7 @@ from supple.files.volumes import background_of, sampling_of
 from supple.media.volume import Volume
 from supple.media.volume.data import rescaled
 from supple.render.labels import LabelColours, labels_in
+from supple.space.geometry import Grid
 
 Array = npt.NDArray[Any]
 Pixels = npt.NDArray[np.uint8]
@@ -71,37 +73,44 @@ class Layer:
         self._samples = volume.samples[0] if volume.series else volume.samples
         self._scaling, self._labels, self._range = volume.scaling, labels, range_of(self._samples)
         self._registration, self._own = registration, volume.grid
-        self._fill = volume.stored(background_of(volume, labels=labels)) if registration is not None else 0.0
-        self._planes: dict[int, list[tuple[Deformation | None, int, Array]]] = {}  # two of each axis
+        self._volume = volume
+        self._planes: dict[int, list[tuple[Deformation | None, int, Grid | None, Array]]] = {}  # two of each axis
 
-    def sampled(self, deformation: Deformation | None, axis: int, index: int) -> Array:
-        """Return a plane of the volume, bent or not, by its two axes, the slower one first; the last ones are kept."""
+    @cached_property
+    def _fill(self) -> Any:
+        """The stored value of what lies outside."""
+        return self._volume.stored(background_of(self._volume, labels=self._labels))
+
+    def sampled(self, deformation: Deformation | None, axis: int, index: int, grid: Grid | None = None) -> Array:
+        """Return a plane of the volume, bent or not, by its two axes, the slower one first; the last ones are kept.
+
+        It is one of a grid in space, if there is one, or else of that of the window.
+        """
         if deformation is not None and deformation.is_identity:
             deformation = None
         kept = self._planes.setdefault(axis, [])
         for known in kept:
-            if known[0] is deformation and known[1] == index:
+            if known[0] is deformation and known[1:3] == (index, grid):
                 kept.remove(known)
                 kept.append(known)
-                return known[2]
-        made = rescaled(self._raw(deformation, axis, index), self._scaling)
-        self._planes[axis] = [*kept[-1:], (deformation, index, made)]  # the result, and what it is compared with
+                return known[3]
+        made = rescaled(self._raw(deformation, axis, index, grid), self._scaling)
+        self._planes[axis] = [*kept[-1:], (deformation, index, grid, made)]  # the result, and what it is compared with
         return made
 
-    def _raw(self, deformation: Deformation | None, axis: int, index: int) -> Array:
+    def _raw(self, deformation: Deformation | None, axis: int, index: int, grid: Grid | None) -> Array:
         known = self._registration
-        bent = deformation if known is None else deformation or known.plain
-        if bent is None:
+        if deformation is None and grid is None and known is None:
             return np.asarray(np.take(self._samples, index, axis=2 - axis))
-        grid = bent.grid if known is None else known.plain.grid
-        first, sizes = [0, 0, 0], list(grid.sizes)
+        own = self._own if known is None else known.plain.grid
+        bent = deformation or (Deformation(own, border=None) if known is None else known.plain)
+        where = grid or own
+        first, sizes = [0, 0, 0], list(where.sizes)
         first[axis], sizes[axis] = index, 1
-        part = grid.crop(first, sizes)
+        maps = () if known is None else known.maps
+        space = bent.behind(maps, own).space_on(where.crop(first, sizes), self._own, check=False)
         sampling = sampling_of(Sampling("nearest" if self._labels else "auto"))
-        if known is None:
-            space = bent.space_on(part)
-        else:
-            space = bent.behind(known.maps, grid).space_on(part, self._own, check=False)
+        if grid is not None or known is not None:
             sampling = replace(sampling, outside="constant", fill=self._fill)
         raw: Array = warp_array(self._samples, space, sampling, alpha=False)[0].squeeze(2 - axis)
         if not self._labels:

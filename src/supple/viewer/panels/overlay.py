@@ -138,19 +138,19 @@ def _plane(view: View, tools: VolumeTools, lines: imgui.ImDrawList, k: int) -> N
     pane = tools.pane(k)
     left, top, width, height = pane.place
     fixed, compared = k >= FIXED, tools.comparison
-    if tools.mask is not None and not tools.original and not fixed:
+    if tools.mask is not None and not tools.original and not fixed and pane.upright is None:
         axes, index = (pane.plane.axis, pane.plane.across, pane.plane.down), pane.index[pane.plane.axis]
         view.veil.draw(lines, tools.mask, tools.sizes, pane.to_canvas, theme.packed(view.veil_colour), axes, index)
     sides = list(zip(pane.plane.sides, ((0, 0.5), (1, 0.5), (0.5, 0), (0.5, 1)), strict=True))
     letters = [_letter(pane.place, side, *at) for side, at in sides]
-    if not fixed:
+    if not fixed and pane.upright is None:
         _cut(view, lines, pane)
     _crosshair(tools, lines, pane, letters)
     if (grip := tools.grip_of(k)) is not None:
         mirror(lines, grip, top, height)
 
     def ball(start: Pair, point: Point, radius: float) -> None:  # where the plane cuts it
-        away = (point[pane.plane.axis] - pane.index[pane.plane.axis]) * pane.spacing[pane.plane.axis]
+        away = pane.away(point) * pane.spacing[pane.plane.axis]
         if abs(away) < radius:
             lines.add_circle(start, math.sqrt(radius**2 - away**2) * pane.scale, theme.BALL, 0, 1.0)
 
@@ -162,7 +162,9 @@ def _plane(view: View, tools: VolumeTools, lines: imgui.ImDrawList, k: int) -> N
     axis, name = pane.plane.axis, f"{pane.plane.name}, fixed" if fixed else pane.plane.name
     _text(lines, (left + _INSET, top + _INSET), name, _PLANES[k % FIXED])
     wide = imgui.calc_text_size(name).x
-    said = f"{'xyz'[axis]} {pane.index[axis]}   {_lies(tools, pane)}"
+    said = _lies(tools, pane)
+    if pane.upright is None:
+        said = f"{'xyz'[axis]} {pane.index[axis]}   {said}"
     if 3 * _INSET + wide + imgui.calc_text_size(said).x < 0.5 * width - _INSET:  # beside the letter in the middle
         _text(lines, (left + 2 * _INSET + wide, top + _INSET), said, theme.GREY)
     _bar(lines, pane.place, pane.scale)
@@ -193,15 +195,14 @@ def _lies(tools: VolumeTools, pane: Pane) -> str:
     if geometry.convention == "array":
         return ""
     row = int(np.abs(geometry.direction[:, pane.plane.axis]).argmax())
-    place = float(geometry.to_lps(pane.index)[row])
-    return f"{SIDES[row][place < 0]} {abs(place):.1f} mm" + (
-        f", oblique by {geometry.oblique:.2g}\u00b0" if geometry.oblique else ""
-    )
+    place = float(geometry.to_lps(tools.index)[row])
+    said = f"{SIDES[row][place < 0]} {abs(place):.1f} mm"
+    return f"{said}, oblique by {geometry.oblique:.2g}\u00b0" if geometry.oblique and pane.upright is None else said
 
 
 def _crosshair(tools: VolumeTools, lines: imgui.ImDrawList, pane: Pane, letters: Iterable[Place]) -> None:
     """Draw the other two planes as lines, with gaps about the voxel where they cross, and where letters are."""
-    (left, top, width, height), (x, y) = pane.place, pane.to_canvas(pane.index)
+    (left, top, width, height), (x, y) = pane.place, pane.placed(pane.index)
     normal = {plane.axis: _PLANES[k] & 0xB0FFFFFF for k, plane in enumerate(tools.planes)}
     upright, level, gap, edge = normal[pane.plane.across], normal[pane.plane.down], 7.0, _INSET
     wide, high = [(x - gap, x + gap)], [(y - gap, y + gap)]
@@ -626,7 +627,7 @@ def _of_a_volume(view: View, tools: VolumeTools, hover: tuple[float, ...]) -> li
     pane = tools.pane_under
     if pane is not None:
         seen = document.base if _is_before(view) else document.deformation
-        value = slices.value(seen, pane.plane, hover, pane.index[pane.plane.axis])
+        value = slices.value(seen, pane.plane, pane.own(hover), pane.index[pane.plane.axis])
     elif tools.under is not None:
         value = slices.told(stage.value(tools.under))
     else:

@@ -17,6 +17,7 @@ from supple.viewer.tools.comparing import MODES, SHARES, Comparison
 from supple.viewer.tools.volumes import VolumeTools
 
 _MOST = 8  # rows of a list
+_AXES = "Planes through the crosshair along the axes of the patient, or along the voxels, which are oblique"
 
 
 def draw(view: View) -> None:
@@ -24,6 +25,13 @@ def draw(view: View) -> None:
     tools = view.tools
     if not isinstance(tools, VolumeTools) or view.slices is None:
         return
+    if tools.geometry.oblique and tools.geometry.convention != "array":
+        label("Planes", _AXES)
+        changed, on = imgui.checkbox("along the patient's axes", tools.upright is not None)
+        hint(_AXES)
+        if changed:
+            tools.reformat(on)
+            view.refresh()
     if tools.comparison is not None:
         _comparison(view, tools, tools.comparison)
     if view.slices.segmentation is not None:

@@ -16,6 +16,7 @@ from supple.gpu.screen import Screen
 from supple.media.volume import Volume
 from supple.media.volume.data import rescaled
 from supple.render.labels import LabelColours
+from supple.space.geometry import Grid
 from supple.viewer.panels.layers import Layer, Registration, Segmentation, names_in
 from supple.viewer.panels.stages import filled
 from supple.viewer.tools.planes import FIXED, RENDERED, Plane
@@ -59,11 +60,12 @@ class Slices:
             self._over = Layer(segmentation.volume, known, labels=True)
         self._textures: dict[tuple[int, bool], tuple[Any, tuple[Array, ...], object]] = {}
         self._screens: dict[tuple[int, str], Screen] = {}
+        self._grid: Grid | None = None  # along the axes of the patient, if planes are
         self._seconds: dict[int, float] = {}  # what each view took the last time
 
     def sampled(self, deformation: Deformation | None, axis: int, index: int) -> Array:
         """Return a plane of the volume, bent or not, by its two axes, the slower one first; the last ones are kept."""
-        return self._bent.sampled(deformation, axis, index)
+        return self._bent.sampled(deformation, axis, index, self._grid)
 
     def value(self, deformation: Deformation | None, plane: Plane, point: tuple[float, ...], index: int) -> str:
         """Return the value of the voxel at a point of a plane, with its unit, or the name of a label; of all layers."""
@@ -71,9 +73,9 @@ class Slices:
         at = tuple(math.floor(point[k] + 0.5) for k in rest)
         said = self.told(self.sampled(deformation, plane.axis, index)[at])
         if self._fixed is not None:
-            said += f"   fixed {self._fixed.sampled(None, plane.axis, index)[at]:.6g}"
+            said += f"   fixed {self._fixed.sampled(None, plane.axis, index, self._grid)[at]:.6g}"
         if self._over is not None and self.segmentation is not None:
-            label = int(self._over.sampled(deformation, plane.axis, index)[at])
+            label = int(self._over.sampled(deformation, plane.axis, index, self._grid)[at])
             if label:
                 said += f"   label {label}" + (f" ({name})" if (name := self.segmentation.names.get(label)) else "")
         return said
@@ -92,7 +94,7 @@ class Slices:
 
         In a drag, planes other than its own that take long are left until the pointer is ``resting``.
         """
-        document = tools.document
+        document, self._grid = tools.document, None if tools.upright is None else tools.upright.grid
         bent = document.base if tools.original else document.deformation
         seen = (bent,) if tools.split is None else (bent, document.base)
         for k in tools.places:
@@ -101,8 +103,8 @@ class Slices:
             slow = self._seconds.get(k, 0.0) > AT_ONCE
             if slow and tools.dragging and not resting and k != tools.active and (k, False) in self._textures:
                 continue
-            plane, begun = tools.planes[k % FIXED], time.perf_counter()
-            index = tools.index[plane.axis]
+            pane, begun = tools.pane(k), time.perf_counter()
+            plane, index = pane.plane, pane.index[pane.plane.axis]
             for second, each in enumerate(seen if k < FIXED else (None,)):
                 if (
                     self._upload((k, bool(second)), tools, plane, self._layers(each, k, plane.axis, index))
@@ -113,9 +115,9 @@ class Slices:
     def _layers(self, deformation: Deformation | None, k: int, axis: int, index: int) -> tuple[Array, ...]:
         """Return what a view of a plane is made of: the bent volume or the fixed one, both, and labels."""
         if k >= FIXED:
-            return (self._fixed.sampled(None, axis, index),) if self._fixed is not None else ()
+            return (self._fixed.sampled(None, axis, index, self._grid),) if self._fixed is not None else ()
         rest = (self._fixed, None), (self._over, deformation)
-        others = (layer.sampled(bend, axis, index) for layer, bend in rest if layer is not None)
+        others = (layer.sampled(bend, axis, index, self._grid) for layer, bend in rest if layer is not None)
         return (self.sampled(deformation, axis, index), *others)
 
     def _upload(self, key: tuple[int, bool], tools: VolumeTools, plane: Plane, layers: tuple[Array, ...]) -> bool:

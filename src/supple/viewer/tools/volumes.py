@@ -19,7 +19,7 @@ from supple.viewer.tools.brushes import GRIP, ZOOM, pans
 from supple.viewer.tools.comparing import Comparison
 from supple.viewer.tools.drawing import Held, Pair, Place
 from supple.viewer.tools.gestures import Event, Lead, Tools, commanded, shifted
-from supple.viewer.tools.planes import FIXED, RENDERED, Pane, Sight, fitting, holding, places_of, planes_of
+from supple.viewer.tools.planes import FIXED, RENDERED, Pane, Sight, Upright, fitting, holding, places_of, planes_of
 
 BUTTON = 22.0  # logical pixels of the button that enlarges a view, in its upper right corner
 _CUBE, _CROSS, _SLIDE, _LEVEL = "cube", "cross", "slide", "level"
@@ -57,6 +57,7 @@ class VolumeTools(Tools[Camera]):
         self._picked: Pick | None = None
         self._surfaces: tuple[object, dict[Pair, tuple[float, ...] | None]] = None, {}
         self._under: tuple[tuple[object, ...], Pick | None] | None = None
+        self.upright: Upright | None = None  # where planes are along the axes of the patient
         self.geometry, self.planes = geometry, planes_of(geometry)
         self.sizes = tuple(reversed(document.shape))
         self.across = self.planes[2].axis  # to the left and right of the patient
@@ -103,9 +104,22 @@ class VolumeTools(Tools[Camera]):
 
     def pane(self, k: int) -> Pane:
         """Return a visible plane in its place."""
-        sight, spacing = self.sight, self.geometry.spacing
-        scale = sight.zoom * fitting(self.places, self.planes, self.sizes, spacing)
-        return Pane(self.planes[k % FIXED], self.places[k], self.index, sight.middle, scale, spacing, self.sizes)
+        sight, spacing, upright = self.sight, self.geometry.spacing, self.upright
+        sizes = self.sizes if upright is None else upright.grid.sizes
+        scale = sight.zoom * fitting(self.places, self.planes, sizes, spacing)
+        index = self.index
+        if upright is not None:
+            index = tuple(math.floor(v + 0.5) for v in upright.seen(sight.cross))
+        plane, place = self.planes[k % FIXED], self.places[k]
+        return Pane(plane, place, index, sight.middle, scale, spacing, self.sizes, upright)
+
+    def reformat(self, on: bool) -> None:
+        """Show planes along the axes of the patient, or along the voxels."""
+        self.upright = Upright.of(self.geometry, self.sizes) if on else None
+        sizes = self.sizes if self.upright is None else self.upright.grid.sizes
+        x, y, z = ((n - 1) / 2 for n in sizes)
+        self.sight = replace(self.sight, middle=(x, y, z), zoom=1.0)
+        self._first = replace(self._first, middle=(x, y, z))
 
     @property
     def pane_under(self) -> Pane | None:
@@ -183,7 +197,7 @@ class VolumeTools(Tools[Camera]):
 
     def grip_of(self, k: int) -> Pair | None:
         """Return the position of the knob of the line of symmetry in a view; None where it has none."""
-        if not self.symmetric or k >= RENDERED or self.planes[k].across != self.across:
+        if not self.symmetric or self.upright is not None or k >= RENDERED or self.planes[k].across != self.across:
             return None
         pane, here = self.pane(k), [0.0, 0.0, 0.0]
         here[self.across] = self.middle
@@ -336,8 +350,10 @@ class VolumeTools(Tools[Camera]):
             picked = self._picked if held.new else None
             held_at: Pick = picked or Pick(held.point, held.point, 0.0)  # type: ignore[arg-type]
             return self.drag(held_at, self._within(x, y))
-        gone = [a - b for a, b in zip(pane.to_point(x, y), held.point, strict=True)]
+        gone = [a - b for a, b in zip(pane.under(x, y), pane.own(held.point), strict=True)]
         gone[pane.plane.axis] = 0.0
+        if pane.upright is not None:
+            gone = (pane.upright.inverse[:3, :3] @ gone).tolist()
         return tuple(gone)
 
     def _scale(self, point: tuple[float, ...]) -> float:
@@ -346,6 +362,9 @@ class VolumeTools(Tools[Camera]):
 
     def _normal(self, point: tuple[float, ...]) -> tuple[float, ...] | None:
         pane = self.pane_under
+        if pane is not None and pane.upright is not None:
+            turn = self.geometry.direction.T @ np.array(pane.upright.grid.direction)
+            return tuple((turn @ pane.plane.normal).tolist())
         if pane is not None:
             return pane.plane.normal
         seen = self.stage.view(self.view)
@@ -367,9 +386,10 @@ class VolumeTools(Tools[Camera]):
 
     def step(self, k: int, slices: float) -> None:
         """Move the crosshair through a plane's slices; above 0, to the head, to the front or to the left."""
-        plane, cross = self.planes[k % FIXED], list(self.sight.cross)
-        cross[plane.axis] += plane.forward * slices
-        self.sight = self.sight.at(tuple(cross), self.sizes)
+        plane, upright, cross = self.planes[k % FIXED], self.upright, self.sight.cross
+        moved = list(cross if upright is None else upright.seen(cross))
+        moved[plane.axis] += plane.forward * slices
+        self.sight = self.sight.at(tuple(moved) if upright is None else upright.voxel(tuple(moved)), self.sizes)
 
     def _key(self, key: str) -> bool:
         if key == "0" and self.held is None:
