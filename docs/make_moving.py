@@ -336,10 +336,10 @@ def history(path: Path) -> None:
 
 
 PAIRS = (
-    ((75.9, 73.1), (75.9, 68.4)),
-    ((73.7, 67.4), (73.7, 63.1)),
-    ((61.2, 50.6), (62.4, 55.2)),
-    ((60.4, 69.8), (61.1, 67.4)),
+    ((76.4, 72.8), (76.5, 68.5)),
+    ((72.4, 67.4), (72.5, 63.1)),
+    ((60.4, 50.2), (62.4, 54.7)),
+    ((59.7, 69.5), (60.8, 67.1)),
 )
 """Voxels y and z of the corpus callosum in the plane x = 60: of the registered head, and of the fixed one."""
 
@@ -385,7 +385,7 @@ def registration(path: Path, folder: Path) -> None:
     tools.compare("colours")
     hand.draw()
     tools.radius = 8.0
-    hand.drag(tools.pane(2).to_canvas((60.0, 85.0, 52.0)), tools.pane(2).to_canvas((60.0, 84.0, 51.0)), 0.2)
+    hand.drag(tools.pane(2).to_canvas((60.0, 84.6, 47.4)), tools.pane(2).to_canvas((60.0, 86.0, 47.4)), 0.2)
     after = view.slices.sampled(document.deformation, 0, 60)
     part = np.s_[48:78, 56:92]
     for name, values in (("before", seen[0][1]), ("after", after)):
