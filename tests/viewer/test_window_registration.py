@@ -185,7 +185,10 @@ def test_what_a_registration_missed_is_pulled_by_landmarks_and_exported_as_one_f
     hand.canvas.draw()
     hand.canvas.draw()
     assert view.commands.asked.path.endswith("moving-bent.nii.gz")
-    view.commands.field = "itk"
+    chosen(monkeypatch, "##what", 1)
+    hand.canvas.draw()
+    assert view.commands.field == "itk"
+    assert view.commands.asked.path.endswith("moving-field.nii.gz")
     view.commands.asked.path = str(tmp_path / "field.nii.gz")
     view.commands.answer("Export")
     wait_for(lambda: view.commands.export.done)
@@ -206,6 +209,19 @@ def test_what_a_registration_missed_is_pulled_by_landmarks_and_exported_as_one_f
     one, other = (volumes.read(tmp_path / f"{name}.nii.gz").samples for name in ("bent", "window"))
     np.testing.assert_array_equal(one, other)
     view.document.mark_saved()
+
+
+def chosen(patch: pytest.MonkeyPatch, name: str, index: int) -> None:
+    """Choose a row of a list in the next frame, as a click on it does."""
+    from imgui_bundle import imgui
+
+    draw, rest = imgui.combo, [name]
+
+    def drawn(label: str, now: int, items: Any) -> tuple[bool, int]:
+        made = draw(label, now, items)
+        return (True, index) if rest and rest[0] == label and rest.pop() else made
+
+    patch.setattr(imgui, "combo", drawn)
 
 
 def through_field(heads: Any, place: Any) -> Any:

@@ -62,7 +62,7 @@ def draw(
     taken += [(x - 5, y - 5, x + 5, y + 5) for _, (x, y), _, away, _ in entries if away <= 0.5]
     for name, at, colour, away, deep in entries:
         faint, corners = colour & 0x90FFFFFF, _corners(at)
-        if away > 0.5 or deep > _BURIED:
+        if away > 0.5 or not deep <= _BURIED:
             lines.add_polyline([*corners, corners[0]], faint, 1.5, 0)
         else:
             lines.add_convex_poly_filled(corners, colour)
@@ -74,7 +74,7 @@ def draw(
             taken.append((x, y, x + size.x, y + size.y))
             if far:
                 lines.add_line(at, (x if x > at[0] else x + size.x, y + 0.5 * size.y), faint, 1.0)
-            write(lines, (x, y), said, colour if deep <= _BURIED else colour & 0xC0FFFFFF)
+            write(lines, (x, y), said, colour)
 
 
 def _away(point: list[float], pane: Pane | None) -> float | None:
@@ -86,7 +86,12 @@ def _away(point: list[float], pane: Pane | None) -> float | None:
 
 
 def _depth(tools: VolumeTools, at: Pair, point: tuple[float, ...]) -> float:
-    """Return how far a point lies behind the surface that is rendered there, in millimetres; 0 in front of it."""
+    """Return how far a point lies behind the surface that is rendered there, in millimetres; 0 in front of it.
+
+    NaN while a button is down, as rays take too long then.
+    """
+    if tools.busy:
+        return math.nan
     surface = tools.surface(at)
     if surface is None:
         return 0.0

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -17,8 +16,8 @@ from supple.media.volume import Volume
 from supple.media.volume.data import rescaled
 from supple.render.labels import LabelColours
 from supple.space.geometry import Grid
-from supple.viewer.panels.layers import Layer, Registration, Segmentation, names_in
-from supple.viewer.panels.stages import filled
+from supple.viewer.panels.layers import Layer, Registration, names_in
+from supple.viewer.panels.stages import VolumeStage, filled
 from supple.viewer.tools.planes import FIXED, RENDERED, Plane
 from supple.viewer.tools.volumes import VolumeTools
 
@@ -36,28 +35,17 @@ _LOOKED_AT = 1 << 20  # voxels
 class Slices:
     """The planes of a volume, of a series the first; labels are not mixed, and have colours of their own."""
 
-    def __init__(
-        self,
-        gpu: Gpu,
-        volume: Volume,
-        labels: bool = False,
-        unit: str = "",
-        colours: LabelColours | None = None,
-        *,
-        registration: Registration | None = None,
-        segmentation: Segmentation | None = None,
-        names: Mapping[int, str] | None = None,
-    ) -> None:
-        self._gpu, self.labels, self.unit = gpu, labels, unit
-        self.names = names_in(volume.header) if names is None else names
-        self._colours = colours or LabelColours()
-        self._bent = Layer(volume if registration is None else registration.moving, registration, labels=labels)
-        self._fixed = None if registration is None or registration.fixed is None else Layer(registration.fixed)
-        self.segmentation = segmentation
+    def __init__(self, gpu: Gpu, stage: VolumeStage, labels: bool = False) -> None:
+        volume, known, transfer = stage.volume, stage.registration, stage.scene.transfer
+        self._gpu, self.labels, self.unit, self.segmentation = gpu, labels, stage.unit, stage.segmentation
+        self.names = names_in(volume.header) if stage.names is None else stage.names
+        self._colours = transfer if isinstance(transfer, LabelColours) else LabelColours()
+        self._bent = Layer(volume if known is None else known.moving, known, labels=labels)
+        self._fixed = None if known is None or known.fixed is None else Layer(known.fixed)
         self._over: Layer | None = None
-        if segmentation is not None:
-            known = registration or Registration(volume, Deformation(volume.grid, border=None))
-            self._over = Layer(segmentation.volume, known, labels=True)
+        if stage.segmentation is not None:
+            known = known or Registration(volume, Deformation(volume.grid, border=None))
+            self._over = Layer(stage.segmentation.volume, known, labels=True)
         self._textures: dict[tuple[int, bool], tuple[Any, tuple[Array, ...], object]] = {}
         self._screens: dict[tuple[int, str], Screen] = {}
         self._grid: Grid | None = None  # along the axes of the patient, if planes are

@@ -21,7 +21,6 @@ from supple.gpu.plate import Sight
 from supple.gpu.screen import ALL, PLAIN, Part, Screen, canvas_texture, composed
 from supple.media import image
 from supple.render.camera import Camera
-from supple.render.labels import LabelColours
 from supple.space.freezing import Freeze
 from supple.strokes import Recipe
 from supple.viewer.document.background import Certifier
@@ -243,18 +242,7 @@ class View:
         self.slices: Slices | None = None
         if isinstance(self.stage, VolumeStage):
             labels = bool(getattr(self.export.get("volume"), "labels", False))
-            transfer = self.stage.scene.transfer
-            colours = transfer if isinstance(transfer, LabelColours) else None
-            self.slices = Slices(
-                self.gpu,
-                self.stage.volume,
-                labels,
-                self.stage.unit,
-                colours,
-                registration=self.stage.registration,
-                segmentation=self.stage.segmentation,
-                names=self.stage.names,
-            )
+            self.slices = Slices(self.gpu, self.stage, labels)
         if isinstance(self.tools, VolumeTools):
             self.tools.marks = self.landmarks
         leave = partial(self.call_later, 0, self.canvas.close)

@@ -137,6 +137,11 @@ class VolumeTools(Tools[Camera]):
             self._under = key, None if at is None else self.pick(*self._within(*at))
         return self._under[1]
 
+    @property
+    def busy(self) -> bool:
+        """Whether a button is down."""
+        return self._gesture is not None
+
     def surface(self, place: Pair) -> tuple[float, ...] | None:
         """Return the voxel that is rendered at a position of the canvas; the last ones are kept."""
         key = self.view, self.stage.size, self.document.revision
