@@ -150,6 +150,9 @@ def test_what_a_registration_missed_is_pulled_by_landmarks_and_exported_as_one_f
     where = through.forward(heads["grid"].indices(true(heads, WRONG)))
     assert 6 < np.linalg.norm((where - WRONG) * 4.0) < 10
     hand.key("l")
+    hand.key("Escape")
+    assert not tools.marking
+    hand.key("l")
     assert "click a point in the bent volume" in overlay.status(view)
     axial = tools.pane(0)
     tools.sight = tools.sight.at(tuple(where), tools.sizes)

@@ -288,9 +288,7 @@ class FileCommands:
             if not self._left.same:
                 text += "\nThe file has changed since then."
             if self._left.medium not in (None, _medium(self.document)):
-                text += (
-                    "\nIt was read otherwise then: by another --time-scale, --series, --shape, --spacing, --fixed."
-                )
+                text += "\nIt was read otherwise then: by another --time-scale, --series, --shape, --spacing, --fixed."
             text += "\nRestore brings them back; Keep for later opens the file without them, and says where they are."
             self.asked = Question("restore", "Restore?", text, ("Restore", "Keep for later"))
 

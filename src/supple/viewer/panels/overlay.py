@@ -63,7 +63,8 @@ def _views(view: View, tools: VolumeTools, lines: imgui.ImDrawList) -> None:
             rings(tools, lines)
         if (at := tools.knob_in(place)) is not None and k < FIXED:
             knob(lines, at)
-        names(tools, lines, place, _NAMED)
+        if k < FIXED:
+            names(tools, lines, place, _NAMED)
         _button(tools, lines, k)
         lines.pop_clip_rect()
 

@@ -307,7 +307,8 @@ class VolumeTools(Tools[Camera]):
         point, marks = self.hover, self.marks
         if point is None or marks is None:
             return False
-        fixed = self.active >= FIXED if self.comparison is not None and self.comparison.beside else None
+        apart = self.active == RENDERED or (self.comparison is not None and self.comparison.beside)
+        fixed = self.active >= FIXED if apart else None
         self.sight = self.sight.at(point, self.sizes)
         self.marking = not marks.click(point, self.document.deformation, fixed)
         return True
@@ -408,7 +409,7 @@ class VolumeTools(Tools[Camera]):
         elif key in ("x", "X") and self.comparison is not None:
             self.comparison.turn()
             self._arrange()
-        elif key in ("l", "L") and self.marks is not None:
+        elif key in ("l", "L") and self.marks is not None and self.comparison is not None:
             self.marking = not self.marking
             self.marks.drop()
         elif key in ("ArrowUp", "ArrowDown"):
