@@ -20,9 +20,11 @@ from supple.media import volume as volumes
 from supple.space.affine import Affine
 from supple.strokes import Recipe, Stroke
 from supple.viewer.panels import overlay
+from supple.viewer.panels.view import LINE, TOP, WIDE
 from supple.viewer.tools.comparing import MODES, Comparison
 from supple.viewer.tools.planes import FIXED, RENDERED
-from tests.viewer.windows import Hand, opened, wait_for
+from supple.viewer.window.launch import SIZE
+from tests.viewer.windows import Hand, a_screen, opened, viewing, wait_for
 
 pytest.importorskip("rendercanvas")
 pytest.importorskip("imgui_bundle")
@@ -212,6 +214,28 @@ def test_what_a_registration_missed_is_pulled_by_landmarks_and_exported_as_one_f
     one, other = (volumes.read(tmp_path / f"{name}.nii.gz").samples for name in ("bent", "window"))
     np.testing.assert_array_equal(one, other)
     view.document.mark_saved()
+
+
+def test_the_command_opens_both_on_a_screen_for_a_real_pointer(gpu: Gpu, heads: Any, tmp_path: Path) -> None:
+    pytest.importorskip("glfw")
+    saved = tmp_path / "moving.recipe.json"
+    place = ",".join(f"{x:g}" for x in PLACE.ravel())
+    words = [str(heads["moving"]), "--affine", place, "--field", str(tmp_path / "1Warp.nii.gz")]
+    words += ["--fixed", str(heads["fixed"])]
+    with a_screen(tmp_path / "screen") as mouse, viewing(*words, folder=tmp_path, display=mouse.display) as process:
+        seen = mouse.settled()
+        across = (SIZE[0] - WIDE - 4) // 3  # of three planes, above those of the fixed head
+        high = (SIZE[1] - TOP - LINE - 2) // 2
+        one, other = (seen[top + 40 : top + high - 40, 20 : across - 20].astype(float) for top in (TOP, TOP + high + 2))
+        assert np.corrcoef(one.ravel(), other.ravel())[0, 1] > 0.85
+        middle = across // 2, TOP + high // 2
+        mouse.drag(middle, (middle[0] + 20, middle[1] - 10))
+        mouse.filed("ctrl+s", saved)
+        assert process.poll() is None
+    recipe = read_recipe(saved)
+    assert recipe.size == heads["grid"].sizes
+    assert recipe.strokes[0].by[2] == 0
+    assert np.linalg.norm(recipe.strokes[0].by) > 1
 
 
 def chosen(patch: pytest.MonkeyPatch, name: str, index: int) -> None:

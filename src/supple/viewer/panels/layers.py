@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -158,6 +158,6 @@ def segmentation_of(volume: Volume, table: tuple[LabelColours, str] | None) -> S
     samples = volume.samples[0] if volume.series else volume.samples
     if table is not None:
         return Segmentation(volume, table[0], names_of(table[1]))
-    header: Sequence[object] = volume.header if isinstance(volume.header, Mapping) else ()  # type: ignore[assignment]
-    colours = LabelColours.of_segments(volume.header, labels_in(samples)) if header else LabelColours()
+    known = volume.is_segmentation
+    colours = LabelColours.of_segments(volume.header, labels_in(samples)) if known else LabelColours()
     return Segmentation(volume, colours, names_in(volume.header))
