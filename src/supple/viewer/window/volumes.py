@@ -51,7 +51,7 @@ def volume_stage(gpu: Gpu, source: str | os.PathLike[str], options: ViewOptions)
             if each is not None:
                 warn_of_place(each.geometry, each.name)
         known = Registration(volume, Deformation(where.grid, border=None), options.maps, fixed)
-        volume = _placed(known, options)
+        volume = placed(known, options)
     table = None if options.label_colours is None else _table(options.label_colours)
     own = table if options.segmentation is None else None  # of the volume, which is a label map
     samples = volume.rescaled()
@@ -63,7 +63,7 @@ def volume_stage(gpu: Gpu, source: str | os.PathLike[str], options: ViewOptions)
     return stage
 
 
-def _placed(known: Registration, options: ViewOptions) -> Volume:
+def placed(known: Registration, options: ViewOptions) -> Volume:
     """Return a volume as it is seen on the grid of the window before strokes; of a series, the first one."""
     volume, grid = known.moving, known.plain.grid
     labels = options.volume.labels or volume.is_segmentation or is_of_labels(volume)
