@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
+from supple.errors import SuppleError
 from supple.render.camera import Camera
 from supple.render.picture import Pick
 from supple.space.geometry import Geometry
@@ -406,10 +407,12 @@ class VolumeTools(Tools[Camera]):
             return False
         elif key in _KEYS:
             self.enlarge(None if self.sight.large == _KEYS[key] else _KEYS[key])
+        elif key in ("x", "X", "l", "L") and self.comparison is None:
+            raise SuppleError("there is no fixed volume beside this one: open both by --fixed")
         elif key in ("x", "X") and self.comparison is not None:
             self.comparison.turn()
             self._arrange()
-        elif key in ("l", "L") and self.marks is not None and self.comparison is not None:
+        elif key in ("l", "L") and self.marks is not None:
             self.marking = not self.marking
             self.marks.drop()
         elif key in ("ArrowUp", "ArrowDown"):
