@@ -1,5 +1,7 @@
 """Two heads, registered: real displacement fields for `fields.py`, made once and kept in a folder.
 
+    python benchmarks/heads.py FIXED MOVING FOLDER    files as ANTs names and writes them, for docs/make_moving.py
+
 Fields are made by SimpleITK's Demons, smoothed little, so that they fold in places, and much, so that they do not, and
 by a B-spline registration.
 """
@@ -230,3 +232,35 @@ def made(folder: Path, fixed: Path, moving: Path | None, side: int, kinds: Seque
         names[kind].with_suffix(".json").write_text(json.dumps(told, indent=1) + "\n")
         said(f"{kind}: {told}")
     return names
+
+
+def coarser(image: Image, step: float, top: float) -> Image:
+    """Return an image on a grid of a step in millimetres, whose brightest values are ``top``."""
+    sizes = [round(n * s / step) for n, s in zip(image.GetSize(), image.GetSpacing(), strict=True)]
+    grid = sitk.Image(sizes, sitk.sitkFloat32)
+    grid.SetSpacing([step] * 3)
+    grid.SetOrigin(image.GetOrigin())
+    grid.SetDirection(image.GetDirection())
+    smooth = sitk.SmoothingRecursiveGaussian(image, 0.6)
+    bright = float(np.percentile(sitk.GetArrayViewFromImage(smooth), 99.8))
+    made = sitk.Resample(smooth * (top / bright), grid, sitk.Transform(), sitk.sitkLinear, 0.0)
+    return sitk.Clamp(made, sitk.sitkFloat32, 0.0, 2 * top)
+
+
+def as_ants(fixed: Path, moving: Path, folder: Path) -> None:
+    """Register two heads by an affine map and a coarse B-spline, and write what ANTs would."""
+    one, two = (sitk.ReadImage(str(path), sitk.sitkFloat32) for path in (fixed, moving))
+    affine = placed(one, two)
+    one, two = coarser(one, 1.5, 120.0), coarser(two, 1.4, 500.0)
+    near = sitk.HistogramMatching(sitk.Resample(two, one, affine, sitk.sitkLinear, 0.0), one, 256, 15, True)
+    field = bspline(Pair(one, near, f"{fixed.name} and {moving.name}"))
+    folder.mkdir(parents=True, exist_ok=True)
+    sitk.WriteImage(sitk.Cast(one, sitk.sitkInt16), str(folder / "fixed.nii.gz"))
+    sitk.WriteImage(sitk.Cast(two, sitk.sitkInt16), str(folder / "moving.nii.gz"))
+    sitk.WriteTransform(affine, str(folder / "0GenericAffine.mat"))
+    sitk.WriteImage(field, str(folder / "1Warp.nii.gz"))
+    said(f"{fixed.name} and {moving.name}: {described(field)}")
+
+
+if __name__ == "__main__":
+    as_ants(*map(Path, sys.argv[1:4]))

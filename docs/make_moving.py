@@ -2,6 +2,7 @@
 
 python docs/make_moving.py [photo] [clip] [volume]      films; all, by default; a hardware GPU helps, and is not needed
 python docs/make_moving.py [panel] [slices] [history]   pictures that stand still
+python docs/make_moving.py registration FOLDER          two of a registration, from the files of benchmarks/heads.py
 """
 
 import os
@@ -185,17 +186,25 @@ class Hand:
         print(f"{path.name}: {len(frames)} frames, {path.stat().st_size / 1e6:.2f} MB")
         self.view.close()
 
-    def still(self, path: Path, quality: int) -> None:
-        """Write what is seen now."""
+    def complete(self) -> None:
+        """Wait until the rendering of a volume is whole, which takes no time in the picture."""
         while self.view.stage.kind == "volume" and self.view.filled < 1.0:
             self.canvas.draw()
+
+    def still(self, path: Path, quality: int) -> None:
+        """Write what is seen now."""
+        self.complete()
         self.certified()
+        self.picture(path, quality)
+        self.view.close()
+
+    def picture(self, path: Path, quality: int) -> None:
+        """Write the canvas as it is."""
         for _ in range(3):  # the panel answers in the second
             pixels = self.draw()
         picture = pyvips.Image.new_from_array(np.ascontiguousarray(pixels)).copy(interpretation="srgb")
         picture.webpsave(path, Q=quality, effort=6, keep="none")
         print(f"{path.name}: {picture.width} x {picture.height}, {path.stat().st_size / 1e3:.0f} kB")
-        self.view.close()
 
 
 def photo(path: Path) -> None:
@@ -258,6 +267,7 @@ def volume(path: Path) -> None:
 
     hand.shoot(0.4)
     hand.drag(seen(45, 100, 28), seen(45, 101, 40), 1.2, says="drag: in a plane, seen in all")
+    hand.complete()
     hand.shoot(0.6)
     hand.key("4", "4: the rendering alone", 0.8)
     width, height = tools.place[2:]
@@ -265,6 +275,7 @@ def volume(path: Path) -> None:
     hand.move((0.5 * width, 0.35 * height))
     hand.wheel(-4, "Shift+wheel: radius", "Shift")
     hand.drag((0.5 * width, 0.3 * height), (0.5 * width, 0.16 * height), 1.2)
+    hand.complete()
     hand.drag((0.5 * width, 0.5 * height), (0.8 * width, 0.55 * height), 1.4, button=RIGHT, says="right button: turn")
     hand.shoot(1.0)
     hand.write(path, 70)
@@ -324,6 +335,82 @@ def history(path: Path) -> None:
     hand.still(path, 60)
 
 
+PAIRS = (
+    ((76.4, 72.8), (76.5, 68.5)),
+    ((72.4, 67.4), (72.5, 63.1)),
+    ((60.4, 50.2), (62.4, 54.7)),
+    ((59.7, 69.5), (60.8, 67.1)),
+)
+"""Voxels y and z of the corpus callosum in the plane x = 60: of the registered head, and of the fixed one."""
+
+
+def registration(path: Path, folder: Path) -> None:
+    """A registration is corrected by pairs of landmarks and a drag, and written as one field."""
+    from supple.fields import Field, Placed, read_maps
+
+    maps = [
+        Placed(each, name=name) for name in ("0GenericAffine.mat", "1Warp.nii.gz") for each in read_maps(folder / name)
+    ]
+    options = ViewOptions(maps=tuple(maps), fixed=folder / "fixed.nii.gz")
+    hand = Hand(folder / "moving.nii.gz", Recipe(border=None), (1280, 800), options=options)
+    view, tools, document = hand.view, hand.view.tools, hand.view.document
+    view.sections |= {"Brush": False, "Volume": False, "View": False}
+    hand.key("3", "", 0.1)
+    tools.sight = tools.sight.at((60.0, 72.0, 62.0), tools.sizes)
+    hand.draw()
+    hand.move(tools.pane(2).to_canvas((60.0, 72.0, 62.0)), 0.1)
+    hand.wheel(6, "", "Control")
+    seen = [(view.document.deformation, view.slices.sampled(None, 0, 60), view.slices._fixed.sampled(None, 0, 60))]
+
+    def click(k: int, y: float, z: float) -> None:
+        hand.move(tools.pane(k).to_canvas((60.0, y, z)), 0.1)
+        hand.press()
+        hand.release()
+
+    for one, other in PAIRS:
+        hand.key("l", "", 0.1)
+        click(2, *one)
+        click(6, *other)
+    marks = view.landmarks
+    assert marks is not None
+    print("residuals before, mm:", marks.residuals(document.deformation).round(2).tolist())
+    tools.radius = 14.0
+    hand.move((300.0, 780.0), 0.1)
+    hand.picture(path.with_name("window-pairs.webp"), 70)
+    stroke = marks.pull(document.deformation, tools.next_stroke)
+    document.begin_drag()
+    assert document.preview(stroke)
+    document.commit()
+    print("residuals after, mm:", marks.residuals(document.deformation).round(4).tolist())
+    tools.compare("colours")
+    hand.draw()
+    tools.radius = 8.0
+    hand.drag(tools.pane(2).to_canvas((60.0, 84.6, 47.4)), tools.pane(2).to_canvas((60.0, 86.0, 47.4)), 0.2)
+    after = view.slices.sampled(document.deformation, 0, 60)
+    part = np.s_[48:78, 56:92]
+    for name, values in (("before", seen[0][1]), ("after", after)):
+        both = np.corrcoef(values[part].ravel(), seen[0][2][part].ravel())[0, 1]
+        print(f"correlation of both heads about the corpus callosum, {name}: {both:.3f}")
+    hand.key("b", "", 0.1)
+    hand.move((300.0, 780.0), 0.1)
+    hand.picture(path, 70)
+    for name, convention in (
+        ("recipe.json", ""),
+        ("2Corrected.nii.gz", "itk"),
+        ("2Corrected_fsl.nii.gz", "fsl-relative"),
+    ):
+        if not convention:
+            view.commands.save(folder / name, force=True)
+            continue
+        view.commands.field = convention
+        view.commands.begin_export(folder / name, force=True)
+        assert view.commands.export.join(600)
+        assert view.commands.export.error is None, view.commands.export.error
+    report = Field.read(folder / "2Corrected.nii.gz", "itk").check()
+    print("one field:", report)
+    view.close()
+
+
 PICTURES: dict[str, Callable[[Path], None]] = {
     "photo": photo,
     "clip": clip,
@@ -338,6 +425,9 @@ def main(names: list[str]) -> None:
     """Make them."""
     with tempfile.TemporaryDirectory() as state:
         os.environ["XDG_STATE_HOME"] = os.environ["XDG_CONFIG_HOME"] = state
+        if names[:1] == ["registration"]:
+            registration(HERE / "images" / "window-registration.webp", Path(names[1]))
+            return
         for name in names or PICTURES:
             PICTURES[name](HERE / "images" / f"window-{name}.webp")
 

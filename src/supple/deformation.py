@@ -839,6 +839,14 @@ class Deformation:
         gaps = sampling is DEFAULT and self.straightened is not None and self.straightened.has_gaps
         return {"outside": "constant", **options} if gaps else options
 
+    def behind(self, maps: Sequence[Placed], grid: Grid | None = None) -> Self:
+        """Return the deformation with fields and affine maps before its strokes, whose points stay where they are.
+
+        ``grid`` says where its samples lie in space, if its own does not.
+        """
+        place = {} if grid is None else {"grid": grid, "output": grid}
+        return self._changed(maps=(*(replace(each, after=0, row=0) for each in maps), *self.maps), **place)
+
     def _with(self, placed: Placed, warn: bool = True) -> Self:
         if self.straightened is not None:
             raise SuppleError("straightening comes last: give fields and affine maps before it")

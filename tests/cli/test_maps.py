@@ -23,7 +23,9 @@ from supple.media import image
 from supple.media import volume as media
 from supple.media.points import read_points
 from supple.space.geometry import Geometry
-from supple.viewer.window.launch import ViewOptions, _mapped
+from supple.viewer.panels.layers import Registration
+from supple.viewer.window.launch import ViewOptions
+from supple.viewer.window.volumes import placed
 from tests.cli.commands import Run
 from tests.media.landmarks import fcsv
 
@@ -139,7 +141,8 @@ def test_the_window_shows_a_volume_through_its_maps() -> None:
     samples[3, 4, 5] = 100
     shift = Affine([[1, 0, 0, 2], [0, 1, 0, 0], [0, 0, 1, 0]])
     volume = media.Volume(samples, Geometry((2.0, 1.0, 1.0), convention="LPS"), scaling=(2.0, -10.0))
-    seen = _mapped(volume, ViewOptions(maps=(Placed(shift),)))
+    known = Registration(volume, Deformation(volume.grid, border=None), (Placed(shift),))
+    seen = placed(known, ViewOptions())
     assert seen.rescaled()[3, 4, 4] == 190.0
     assert np.count_nonzero(seen.samples) == 1
     exported = ViewOptions(maps=(Placed(shift),)).export["maps"]

@@ -147,7 +147,7 @@ class MapOptions:
         for entry in entries:
             if entry.convention is not None and entry.is_numbers:
                 raise SuppleError(f"--convention is for files, and {entry.told} is none: leave it out")
-        return Maps(entries, reference if output is None else output.reference, back=back)
+        return Maps(entries, reference if output is None else output.onto, back=back)
 
 
 @Parameter(name="*")
@@ -159,6 +159,8 @@ class OutputOptions:
     ----------
     reference
         Write the result on the grid of another image: of a volume, its place in space; of a picture, its size.
+    fixed
+        Like --reference, and the strokes are on that grid, too: as supple view --fixed saves them.
     crop
         Write only a part of the grid: its first sample, and its size. It equals that part of the whole, bit for bit.
     resample
@@ -167,17 +169,25 @@ class OutputOptions:
     """
 
     reference: Annotated[str | None, Parameter(group=OUTPUT, metavar="FILE")] = None
+    fixed: Annotated[str | None, Parameter(group=OUTPUT, metavar="FILE")] = None
     crop: Annotated[str | None, Parameter(group=OUTPUT, metavar="X,Y,W,H|X,Y,Z,W,H,D", allow_leading_hyphen=True)] = (
         None
     )
     resample: Annotated[str | None, Parameter(group=OUTPUT, metavar="S|SX,SY[,SZ]", allow_leading_hyphen=True)] = None
+
+    @property
+    def onto(self) -> str | None:
+        """The image whose grid it is."""
+        if self.fixed is not None and self.reference is not None:
+            raise SuppleError("--fixed and --reference name the same grid: leave --reference out")
+        return self.fixed or self.reference
 
     def to_grid(self) -> "GridOptions | None":
         """Return the grid of the output as the library takes it."""
         from supple.cli.options import parse_integer, parse_number
         from supple.files.options import GridOptions
 
-        if self.reference is None and self.crop is None and self.resample is None:
+        if self.onto is None and self.crop is None and self.resample is None:
             return None
         box = steps = None
         if self.crop is not None:
@@ -186,7 +196,8 @@ class OutputOptions:
         if self.resample is not None:
             wanted = "a spacing S, or one for each axis, SX,SY or SX,SY,SZ"
             steps = [parse_number("--resample", part, wanted) for part in self.resample.split(",")]
-        return GridOptions(self.reference, box, steps if steps is None or len(steps) > 1 else steps[0])
+        spacing = steps if steps is None or len(steps) > 1 else steps[0]
+        return GridOptions(self.onto, box, spacing, strokes=self.fixed is not None)
 
 
 @dataclass(slots=True)

@@ -214,7 +214,7 @@ def plan(
         place=lambda: volume.place_of(source), ordered=maps.conventions,
     )  # fmt: skip
     elements = maps.to_maps(console.arguments, recipe, strokes, output)
-    known, outside = sampling.to_sampling(bool(elements) or output.reference is not None)
+    known, outside = sampling.to_sampling(bool(elements) or output.onto is not None)
     job = Job(source, source, recipe, known, outside, volume=reading, fit=strokes.to_fit(), grid=grid)
     job = refer(console, job, elements)
     with counted(console.terminal, "blocks") as tell:

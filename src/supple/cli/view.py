@@ -27,6 +27,10 @@ def view(
     time: TimeOptions = _TIME,
     labels: Labels = False,
     points: Annotated[str | None, Parameter(group=VOLUME, metavar="FILE")] = None,
+    fixed: Annotated[str | None, Parameter(group=VOLUME, metavar="FILE")] = None,
+    fixed_points: Annotated[str | None, Parameter(group=VOLUME, metavar="FILE")] = None,
+    segmentation: Annotated[str | None, Parameter(group=VOLUME, metavar="FILE")] = None,
+    label_colours: Annotated[str | None, Parameter(group=VOLUME, metavar="FILE")] = None,
     volume: VolumeArguments = _VOLUME,
 ) -> None:
     """Open a window to bend a picture, video or volume by hand.
@@ -48,8 +52,17 @@ def view(
         without a word), or that of the largest share of the footprint (smooth).
     points
         Landmarks to show: CSV, or 3D Slicer's .fcsv and .mrk.json.
+    fixed
+        The fixed volume of a registration: the other one is seen, and bent, on its grid, and compared with it.
+    fixed_points
+        Landmarks of the fixed volume, as pairs with those of --points.
+    segmentation
+        Labels to show over the volume, which move with it.
+    label_colours
+        Names and colours of labels: a colour table of 3D Slicer (.ctbl), FreeSurfer or ITK-SNAP (.txt).
     """
     from supple.files.jobs import Job
+    from supple.files.options import GridOptions
     from supple.strokes import Recipe
     from supple.viewer.window.launch import ViewOptions, show
     from supple.viewer.window.launch import serve as serve_it
@@ -64,8 +77,9 @@ def view(
     recipe = strokes.to_recipe(**given) if strokes.any else None
     if volume.world and recipe is None:
         raise SuppleError("--world is about the points of strokes, and there are none: leave it out")
-    elements = maps.to_maps(current().arguments, recipe, strokes)
-    placed = elements.placed(current(), Job(source, "", Recipe(), volume=reading)).maps
+    onto = None if fixed is None else GridOptions(fixed, strokes=True)
+    elements = maps.to_maps(current().arguments, recipe, strokes, reference=fixed)
+    placed = elements.placed(current(), Job(source, "", Recipe(), volume=reading, grid=onto)).maps
     scale = time.time_scale or (recipe and recipe.time_scale) or 1.0
     options = ViewOptions(
         time_scale=scale,
@@ -74,6 +88,10 @@ def view(
         fit=strokes.to_fit(),
         points=points,
         convention=convention,
+        fixed=fixed,
+        fixed_points=fixed_points,
+        segmentation=segmentation,
+        label_colours=label_colours,
         frame=None if frame is None else typed.read("--frame", frame),
     )
     if port and not serve:

@@ -188,7 +188,7 @@ def warp(
         frame=None if frame is None else typed.read("--frame", frame),
         frames=None if frames is None else typed.part("--frames", frames),
     )  # fmt: skip
-    elsewhere = bool(elements) or output.reference is not None or recipe.straighten is not None
+    elsewhere = bool(elements) or output.onto is not None or recipe.straighten is not None
     known, outside = sampling.to_sampling(elsewhere, linear_light)
     template = Job(
         paths[0], paths[-1], recipe, known, outside, clamp, quality, lossless, device, options.force, shot,

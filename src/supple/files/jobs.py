@@ -103,6 +103,8 @@ class Job:
                 raise SuppleError(
                     f"{asked(option, value)} is for {where}, and {medium.name} is a {medium.kind}: leave it out"
                 )
+        if self.grid is not None and self.grid.strokes and medium.kind != "volume":
+            raise SuppleError(f"{argument('fixed')} is for volumes, and {medium.name} is a {medium.kind}: leave it out")
         if medium.kind != "picture" and self.recipe.straighten is not None:
             raise SuppleError(f"straightening is for pictures, and {medium.name} is a {medium.kind}: leave it out")
         if medium.kind == "picture" and self.recipe.moves:

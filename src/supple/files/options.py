@@ -123,6 +123,9 @@ class GridOptions:
         Another spacing over the same extent: in millimetres for volumes, in pixels of the input for pictures; one for
         all axes, or one for each, x first. It comes after ``reference``, and before ``crop``. The grid of a sheared
         volume becomes upright.
+    strokes : bool
+        Whether the strokes are on the grid of ``reference``, too, and not on that of the input: their voxels, the
+        border, and freeze masks. For volumes, in whose registration ``reference`` is the fixed one.
 
     Raises
     ------
@@ -133,8 +136,11 @@ class GridOptions:
     reference: PathLike | None = None
     crop: Sequence[int] | None = None
     resample: float | Sequence[float] | None = None
+    strokes: bool = False
 
     def __post_init__(self) -> None:
+        if self.strokes and self.reference is None:
+            raise SuppleError("strokes are on the grid of a reference, and there is none: name one")
         if self.crop is not None:
             wanted = "X,Y,W,H for a picture, or X,Y,Z,W,H,D for a volume: first indices, then sizes"
             given = items("crop", self.crop, wanted, (4, 6))

@@ -175,6 +175,8 @@ def _axes_of_space(job: Job, found: int) -> int:
 def warp_on(source: Source, job: Job) -> Warp:
     """Return a recipe on an input, ready to be planned; SuppleError if an option does not fit the input."""
     known, dtype, maps, sampling = job.volume, source.image.dtype, job.maps, job.sampling
+    if job.grid is not None and job.grid.strokes:
+        raise SuppleError(f"{argument('fixed')} is for files of volumes, and {source.name} is a store: leave it out")
     if job.outside is None:
         elsewhere = job.grid is not None and job.grid.reference is not None
         outside = "constant" if source.geometry is not None and elsewhere else "edge"

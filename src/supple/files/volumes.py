@@ -22,7 +22,7 @@ from supple.engine.sampling import Certificate, Sampling, warn_of
 from supple.engine.work import Array, Space, Tell, work_of
 from supple.errors import GapWarning, SuppleError, VolumeWarning, argument, shown
 from supple.fields import Placed, folds_of, only_name
-from supple.files.grids import grid_on, warn_of_place
+from supple.files.grids import grid_on, reference_grid, warn_of_place
 from supple.files.jobs import Job, Warped, job_of
 from supple.files.options import GridOptions, PathLike, VolumeOptions
 from supple.files.transforms import write_transform
@@ -217,7 +217,10 @@ def warp(job: Job, tell: Tell) -> Warped:
     if not (suffix_of(target).startswith(".nii") or suffix_of(target) in derived.SUFFIXES):  # others hold no scaling
         volume = replace(volume, samples=volume.rescaled(), scaling=(1.0, 0.0))
     regrid = grid_on(grid, volume.grid, volume.name, maps)
-    deformation = deformation_of(job.recipe, volume, world=known.world, fit=job.fit, maps=maps)
+    seen = volume  # where the strokes are
+    if grid is not None and grid.strokes and grid.reference is not None:
+        seen = moved(volume, reference_grid(grid.reference, 3), grid)
+    deformation = deformation_of(job.recipe, seen, world=known.world, fit=job.fit, maps=maps)
     warn_of_still(job.recipe.strokes)
     background = None
     if job.outside is None and grid is not None and grid.reference is not None:  # much may lie outside of the input
@@ -225,7 +228,7 @@ def warp(job: Job, tell: Tell) -> Warped:
         sampling = replace(sampling, outside="constant", fill=volume.stored(background))
     elif sampling.outside == "constant":
         sampling = replace(sampling, fill=volume.stored(job.sampling.fill))
-    like = volume if grid is None or regrid is None else _moved(volume, regrid, grid)
+    like = volume if grid is None or regrid is None else moved(volume, regrid, grid)
     if grid is not None:
         check_target(target, like, force=job.force)
     space = deformation.space_on(regrid, volume.grid)
@@ -248,7 +251,7 @@ def warp(job: Job, tell: Tell) -> Warped:
     return Warped(
         Path(source), Path(target), "volume", (deformation,), sampling.tolerance, found.error,
         len(volume.samples) if volume.series else 1, geometry=volume.geometry, grid=regrid,
-        own=None if volume.grid == deformation.grid else volume.grid, folded=found.folded, outside=found.outside,
+        own=None if seen.grid == deformation.grid else seen.grid, folded=found.folded, outside=found.outside,
         unsolved=found.unknown, background=background,
     )  # fmt: skip
 
@@ -275,7 +278,7 @@ def least_of(samples: Any, sign: int = 1) -> float:
     return least if np.isfinite(least) else 0.0
 
 
-def _moved(volume: Volume, grid: Grid, options: GridOptions) -> Volume:
+def moved(volume: Volume, grid: Grid, options: GridOptions) -> Volume:
     """Return the volume to write on another grid, with room for its samples that takes no memory."""
     shape = volume.samples.shape
     shape = (shape[0], *grid.shape) if volume.series else (*grid.shape, *shape[3:])

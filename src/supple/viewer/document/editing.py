@@ -9,7 +9,6 @@ from operator import attrgetter
 from typing import Literal, Self
 
 import numpy as np
-import numpy.typing as npt
 
 from supple.deformation import Arrival, Deformation, after, last_outside, part_of, reduced
 from supple.errors import SuppleError
@@ -26,7 +25,6 @@ from supple.viewer.document.keyframes import animated, edited
 
 Kind = Literal["image", "video", "volume"]
 Point = tuple[float, ...]
-Floats = npt.NDArray[np.float64]
 Handle = tuple[Point, Point]
 """A point of a stroke, and where it ends."""
 _EMPTY = Recipe()
@@ -137,22 +135,6 @@ class Solved:
         if whole is not now:
             stroke = replace(stroke, at=tuple(whole.forward(now.inverse(stroke.at).points).tolist()))
         return replace(stroke.weakened(1 / part), strength=stroke.strength) if part not in (0, 1) else stroke
-
-
-class Landmarks:
-    """Named points of a volume, before and after strokes: float64 voxels (N, 3), x first."""
-
-    def __init__(self, names: tuple[str, ...], points: Floats) -> None:
-        self.names, self.points = names, points
-        self._moved: tuple[Deformation, Floats] | None = None
-
-    def moved(self, deformation: Deformation) -> Floats:
-        """Return where the points are after strokes, (N, 3); the last answer is cached."""
-        if deformation.is_identity:
-            return self.points
-        if self._moved is None or self._moved[0] is not deformation:
-            self._moved = deformation, np.asarray(deformation.forward(self.points), np.float64)
-        return self._moved[1]
 
 
 _HIDDEN = attrgetter("hidden")
@@ -277,6 +259,29 @@ class Document:
         made = replace(self.state.recipe, size=self.size, space="pixels", time_scale=scale)
         space = self.state.rest.space
         return made if space is None or self.geometry is None else placed(made, self.geometry, space)
+
+    @property
+    def space(self) -> CoordinateSpace | None:
+        """The coordinates of the points of the recipe, if these are millimetres of a volume."""
+        return self.state.rest.space if self.geometry is not None else None
+
+    def as_saved(self, stroke: Stroke) -> Stroke:
+        """Return a stroke with its points as the recipe has them."""
+        if self.space is None or self.geometry is None:
+            return stroke
+        return placed(Recipe(strokes=(stroke,)), self.geometry, self.space).strokes[0]
+
+    def as_edited(self, stroke: Stroke) -> Stroke:
+        """Return a stroke of the recipe with its points in samples: the inverse of `as_saved`."""
+        if self.space is None or self.geometry is None:
+            return stroke
+        return indexed(Recipe(strokes=(stroke,), space=self.space), self.geometry, "the volume").strokes[0]
+
+    def place(self, point: Point) -> Point:
+        """Return a point as the recipe has it."""
+        if self.space is None or self.geometry is None:
+            return point
+        return tuple(self.geometry.to_world(point, self.space).tolist())
 
     def arrival(self, i: int) -> Arrival | None:
         """Return the target of a stroke's point, and its position; None if the stroke is hidden."""

@@ -24,9 +24,11 @@ from supple.errors import SuppleError, facing, shown
 from supple.files import Job
 from supple.files.clips import is_picture_target
 from supple.files.freezing import read_freeze, write_freeze
+from supple.files.maps import convention_out
 from supple.files.options import ClipOptions, PathLike
 from supple.files.places import Places
 from supple.files.recipes import read_recipe, write_recipe
+from supple.files.registrations import write_map
 from supple.files.tracking import track
 from supple.media.files import check_output, locked, replacing, same_file
 from supple.media.image import check_target
@@ -276,6 +278,7 @@ class FileCommands:
         self.windows = True  # whether another window can be opened
         self.beside: tuple[subprocess.Popen[bytes], IO[bytes], float] | None = None  # the last, what it says, its start
         self.export: Export | None = None
+        self.field: str | None = None  # the convention of the field that is exported; None for the medium itself
         self.following: tuple[Stroke, int, Task] | None = None  # what is tracked: a stroke, and from which frame
         self.recipe_path: Path | None = None  # the last saved or opened recipe
         self._told: Export | None = None
@@ -286,7 +289,7 @@ class FileCommands:
             if not self._left.same:
                 text += "\nThe file has changed since then."
             if self._left.medium not in (None, _medium(self.document)):
-                text += "\nIt was read otherwise then: by another --time-scale, --series, --shape or --spacing."
+                text += "\nIt was read otherwise then: by another --time-scale, --series, --shape, --spacing, --fixed."
             text += "\nRestore brings them back; Keep for later opens the file without them, and says where they are."
             self.asked = Question("restore", "Restore?", text, ("Restore", "Keep for later"))
 
@@ -532,6 +535,12 @@ class FileCommands:
             raise SuppleError("the export needs a name, whose suffix says the format")
         self._spare(path)
         recipe, options, hold = self.document.recipe, dict(self.options), self.document.hold
+        if self.field is not None:
+            convention_out(path, self.field, None)
+            check_output(path, force=force)
+            write, self.message = partial(write_map, to=self.field), ""
+            self.export = Export(self.source, path, recipe, warp=write, force=force, **options)
+            return
         if self.document.kind == "video":
             options["clip"] = replace(options.get("clip", ClipOptions()), hold=hold)
         if suffix_of(path) not in LOSSY:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import fields
 from functools import lru_cache
 
@@ -11,7 +11,7 @@ from supple.errors import Spelling
 from supple.folding.limits import NEAR
 from supple.space.freezing import Freeze
 from supple.strokes import PAINTINGS, FoldPolicy, Recipe, Stroke
-from supple.viewer.document.editing import State
+from supple.viewer.document.editing import Point, State
 
 CAUSES = {"fold": "all of it would fold", "border": "the fixed border holds it back", "outside": "it starts outside"}
 CAUSES["freeze"] = "what is frozen holds it back"
@@ -44,13 +44,13 @@ def named(stroke: Stroke) -> str:
     return "Path" if stroke.path else stroke.brush.capitalize()
 
 
-def listed(stroke: Stroke) -> str:
-    """Return a stroke in a line of a list."""
+def listed(stroke: Stroke, unit: str = "") -> str:
+    """Return a stroke in a line of a list; its points are in a unit, if that is said."""
     if stroke.brush == "freeze":
         return _held(stroke)
     if stroke.is_whole and stroke.name not in PAINTINGS:
         return named(stroke)
-    said = f"{named(stroke)} {place(stroke.at)}"
+    said = f"{named(stroke)} {place(stroke.at)}{unit}"
     if stroke.angle is not None:
         said += f" {stroke.angle:.3g}\u00b0"
     elif stroke.factor is not None:
@@ -86,11 +86,16 @@ def _counted(count: int, what: str) -> str:
     return f"{count} {what}{'s' * (count != 1)}"
 
 
-def described(stroke: Stroke, arrival: Arrival | None) -> str:
-    """Return a description of a stroke, and of its point's position, in a few lines."""
+def described(
+    stroke: Stroke, arrival: Arrival | None, unit: str = "", where: Callable[[Point], Point] = lambda point: point
+) -> str:
+    """Return a description of a stroke, and of its point's position, in a few lines.
+
+    Points are in a unit, if that is said, and ``where`` returns those of an arrival in it.
+    """
     if stroke.brush == "freeze":
         return f"{_held(stroke)}\nlater strokes move nothing there, earlier ones keep their effect"
-    said = f"{named(stroke)} at {place(stroke.at, 1)}\n{done(stroke, 1)}\nradius {stroke.radius:.4g}"
+    said = f"{named(stroke)} at {place(stroke.at, 1)}{unit}\n{done(stroke, 1)}\nradius {stroke.radius:.4g}"
     if stroke.poisson is not None:
         said += f", bulge sideways {stroke.poisson:.3g}"
     if stroke.brush == "grab":  # the others fade in one way
@@ -98,11 +103,11 @@ def described(stroke: Stroke, arrival: Arrival | None) -> str:
     said += "\nreach: no limit" if stroke.reach is None else f"\nreach: {stroke.reach:.3g} radii"
     if arrival is None:
         return said
-    said += f"\narrives at {place(arrival.arrived, 1)}"
+    said += f"\narrives at {place(where(arrival.arrived), 1)}"
     if arrival.miss > NEAR:
         said += f", {arrival.miss:.3g} short: {CAUSES[arrival.cause or 'border']}"
     if arrival.moved > NEAR:
-        said += f"\nlater strokes move it by {arrival.moved:.3g}, to {place(arrival.final, 1)}"
+        said += f"\nlater strokes move it by {arrival.moved:.3g}, to {place(where(arrival.final), 1)}"
     return said
 
 

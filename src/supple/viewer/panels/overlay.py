@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from functools import lru_cache
 from typing import Any
 
@@ -20,13 +20,13 @@ from supple.space.geometry import SIDES
 from supple.viewer.document.keyframes import animated
 from supple.viewer.document.settings import keep
 from supple.viewer.document.words import done, named
-from supple.viewer.panels import keyframes, straightening, theme
+from supple.viewer.panels import keyframes, landmarks, straightening, theme
 from supple.viewer.panels.stages import VideoStage, VolumeStage
 from supple.viewer.panels.view import COMPUTING, LANE, LINE, TOP, View
 from supple.viewer.panels.widgets import hint, icon_button, wrapped
 from supple.viewer.tools.brushes import ImageTools, VideoTools
 from supple.viewer.tools.drawing import Pair, Place, Point
-from supple.viewer.tools.planes import RENDERED, Pane
+from supple.viewer.tools.planes import FIXED, RENDERED, Pane
 from supple.viewer.tools.playback import Playback
 from supple.viewer.tools.viewport import Viewport
 from supple.viewer.tools.volumes import VolumeTools
@@ -34,12 +34,11 @@ from supple.viewer.tools.volumes import VolumeTools
 _LETTERS = 0xF0FFFFFF  # ABGR
 _PLANES = (0xFF6478F0, 0xFF78C86C, 0xFF50C8E8)  # red, green and yellow, as elsewhere for these three
 _INSET = 8.0  # logical pixels from a view's edge to its text
+_GAP = 3.0  # and about a letter, where no line is
 _NAMED = 30.0  # and to the names of before and after, below that of the plane
 _BAR = (0.28, 30.0)  # the largest part of a view's width, and the least logical pixels, of a scale bar
 _DASH = 14.0  # logical pixels from one dash to the next
 _ROOMY = 240.0  # logical pixels: a narrower view has no room for all of its text
-_NEARBY = 5.0  # millimetres of a landmark from a plane in which it is seen, faint
-_MARK = 0xFFF0D060  # of landmarks
 _BEGIN = (
     "The wheel, or a right drag, sets the size of the brush: the ring is how far it is felt.",
     ("The wheel with Shift sets the size of the brush: the ring is how far it is felt."),
@@ -62,9 +61,10 @@ def _views(view: View, tools: VolumeTools, lines: imgui.ImDrawList) -> None:
             _plane(view, tools, lines, k)
         if tools.active == k:
             rings(tools, lines)
-        if (at := tools.knob_in(place)) is not None:
+        if (at := tools.knob_in(place)) is not None and k < FIXED:
             knob(lines, at)
-        names(tools, lines, place, _NAMED)
+        if k < FIXED:
+            names(tools, lines, place, _NAMED)
         _button(tools, lines, k)
         lines.pop_clip_rect()
 
@@ -138,38 +138,56 @@ def _button(tools: VolumeTools, lines: imgui.ImDrawList, k: int) -> None:
 def _plane(view: View, tools: VolumeTools, lines: imgui.ImDrawList, k: int) -> None:
     pane = tools.pane(k)
     left, top, width, height = pane.place
-    if tools.mask is not None and not tools.original:
+    fixed, compared = k >= FIXED, tools.comparison
+    if tools.mask is not None and not tools.original and not fixed and pane.upright is None:
         axes, index = (pane.plane.axis, pane.plane.across, pane.plane.down), pane.index[pane.plane.axis]
         view.veil.draw(lines, tools.mask, tools.sizes, pane.to_canvas, theme.packed(view.veil_colour), axes, index)
-    _cut(view, lines, pane)
-    _crosshair(tools, lines, pane)
+    sides = list(zip(pane.plane.sides, ((0, 0.5), (1, 0.5), (0.5, 0), (0.5, 1)), strict=True))
+    letters = [_letter(pane.place, side, *at) for side, at in sides]
+    if not fixed and pane.upright is None:
+        _cut(view, lines, pane)
+    _crosshair(tools, lines, pane, letters)
     if (grip := tools.grip_of(k)) is not None:
         mirror(lines, grip, top, height)
 
     def ball(start: Pair, point: Point, radius: float) -> None:  # where the plane cuts it
-        away = (point[pane.plane.axis] - pane.index[pane.plane.axis]) * pane.spacing[pane.plane.axis]
+        away = pane.away(point) * pane.spacing[pane.plane.axis]
         if abs(away) < radius:
             lines.add_circle(start, math.sqrt(radius**2 - away**2) * pane.scale, theme.BALL, 0, 1.0)
 
-    strokes(view, lines, pane.to_canvas, pane.crosses, ball)
-    _landmarks(view, lines, pane.to_canvas, pane)
-    x, y, (west, east, north, south) = left + width / 2, top + height / 2, pane.plane.sides
-    _text(lines, (left + _INSET, y), west, align=(0.0, 0.5))
-    _text(lines, (left + width - _INSET, y), east, align=(1.0, 0.5))
-    _text(lines, (x, top + _INSET), north, align=(0.5, 0.0))
-    _text(lines, (x, top + height - _INSET), south, align=(0.5, 1.0))
-    axis = pane.plane.axis
-    _text(lines, (left + _INSET, top + _INSET), pane.plane.name, _PLANES[k])
-    wide = imgui.calc_text_size(pane.plane.name).x
-    said = f"{'xyz'[axis]} {pane.index[axis]}   {_lies(tools, pane)}"
+    if not fixed:
+        strokes(view, lines, pane.to_canvas, pane.crosses, ball)
+    landmarks.draw(view, lines, pane.to_canvas, _text, pane, k)
+    for (side, _), (a, b, _, _) in zip(sides, letters, strict=True):
+        _text(lines, (a + _GAP, b + _GAP), side)
+    axis, name = pane.plane.axis, f"{pane.plane.name}, fixed" if fixed else pane.plane.name
+    _text(lines, (left + _INSET, top + _INSET), name, _PLANES[k % FIXED])
+    wide = imgui.calc_text_size(name).x
+    said = _lies(tools, pane)
+    if pane.upright is None:
+        said = f"{'xyz'[axis]} {pane.index[axis]}   {said}"
     if 3 * _INSET + wide + imgui.calc_text_size(said).x < 0.5 * width - _INSET:  # beside the letter in the middle
         _text(lines, (left + 2 * _INSET + wide, top + _INSET), said, theme.GREY)
     _bar(lines, pane.place, pane.scale)
+    other = compared is not None and compared.beside and tools.active % FIXED == k % FIXED and tools.active != k
+    if other and tools.pointer is not None and (point := tools.hover) is not None:  # the pointer, in the other volume
+        x, y = pane.to_canvas(point)
+        for shade, thick in ((theme.DARK, 3.0), (theme.WHITE, 1.0)):
+            lines.add_line((x - 6, y), (x + 6, y), shade, thick)
+            lines.add_line((x, y - 6), (x, y + 6), shade, thick)
     if view.slices is not None and not view.slices.labels and width > _ROOMY:
-        low, high = tools.sight.window
+        low, high = compared.window if fixed and compared is not None else tools.sight.window
         unit = view.slices.unit if view.slices.unit != "label" else ""
         said = f"W {high - low:.4g}  L {0.5 * (low + high):.4g} {unit}".rstrip()
         _text(lines, (left + width - _INSET, top + height - _INSET), said, theme.GREY, (1.0, 1.0))
+
+
+def _letter(place: Place, side: str, across: float, down: float) -> Place:
+    """Return the box of the letter of a side of a view, by its place in fractions: left, top, right and bottom."""
+    (left, top, width, height), size = place, imgui.calc_text_size(side)
+    x = round(left + _INSET + across * (width - 2 * _INSET - size.x))
+    y = round(top + _INSET + down * (height - 2 * _INSET - size.y))
+    return x - _GAP, y - _GAP, x + size.x + _GAP, y + size.y + _GAP
 
 
 def _lies(tools: VolumeTools, pane: Pane) -> str:
@@ -177,24 +195,35 @@ def _lies(tools: VolumeTools, pane: Pane) -> str:
     geometry = tools.geometry
     if geometry.convention == "array":
         return ""
-    if geometry.oblique:
-        return f"oblique by {geometry.oblique:.2g} degrees"
     row = int(np.abs(geometry.direction[:, pane.plane.axis]).argmax())
-    place = float(geometry.to_lps(pane.index)[row])
-    return f"{SIDES[row][place < 0]} {abs(place):.1f} mm"
+    place = float(geometry.to_lps(tools.index)[row])
+    said = f"{SIDES[row][place < 0]} {abs(place):.1f} mm"
+    return f"{said}, oblique by {geometry.oblique:.2g}\u00b0" if geometry.oblique and pane.upright is None else said
 
 
-def _crosshair(tools: VolumeTools, lines: imgui.ImDrawList, pane: Pane) -> None:
-    """Draw the other two planes as lines, with a gap about the voxel where they cross."""
-    (left, top, width, height), (x, y) = pane.place, pane.to_canvas(pane.index)
+def _crosshair(tools: VolumeTools, lines: imgui.ImDrawList, pane: Pane, letters: Iterable[Place]) -> None:
+    """Draw the other two planes as lines, with gaps about the voxel where they cross, and where letters are."""
+    (left, top, width, height), (x, y) = pane.place, pane.placed(pane.index)
     normal = {plane.axis: _PLANES[k] & 0xB0FFFFFF for k, plane in enumerate(tools.planes)}
-    upright, level, gap = normal[pane.plane.across], normal[pane.plane.down], 7.0
-    for a, b in ((left, x - gap), (x + gap, left + width)):
-        if a < b:
-            lines.add_line((a, y), (b, y), level, 1.0)
-    for a, b in ((top, y - gap), (y + gap, top + height)):
-        if a < b:
-            lines.add_line((x, a), (x, b), upright, 1.0)
+    upright, level, gap, edge = normal[pane.plane.across], normal[pane.plane.down], 7.0, _INSET
+    wide, high = [(x - gap, x + gap)], [(y - gap, y + gap)]
+    for a, b, c, d in letters:
+        wide += [(a - edge, c + edge)] if b <= y <= d else []
+        high += [(b - edge, d + edge)] if a <= x <= c else []
+    for a, b in _between(left, left + width, wide):
+        lines.add_line((a, y), (b, y), level, 1.0)
+    for a, b in _between(top, top + height, high):
+        lines.add_line((x, a), (x, b), upright, 1.0)
+
+
+def _between(low: float, high: float, gaps: list[Pair]) -> Iterator[Pair]:
+    """Return the parts of an interval that are in no gap."""
+    for a, b in sorted(gaps):
+        if low < min(a, high):
+            yield low, min(a, high)
+        low = max(low, b)
+    if low < high:
+        yield low, high
 
 
 def _cut(view: View, lines: imgui.ImDrawList, pane: Pane) -> None:
@@ -283,50 +312,12 @@ def _rendering(view: View, tools: VolumeTools, lines: imgui.ImDrawList, place: P
                 near, far = ((at[0] + way * r * a, at[1] + way * r * b) for r in (3.0, 9.0))
                 lines.add_line(near, far, theme.DARK, 3.0)
                 lines.add_line(near, far, theme.WHITE, 1.0)
-    _landmarks(view, lines, tools.projected)
+    landmarks.draw(view, lines, tools.projected, _text)
     if view.computing:
         left, top, width, _ = place
         _text(lines, (left + width / 2, top + _INSET), COMPUTING, align=(0.5, 0.0))
     _cube(tools, lines)
     _bar(lines, place, tools.stage.scale(tools.view, tools.stage.target(tools.view)))
-
-
-def _landmarks(
-    view: View, lines: imgui.ImDrawList, seen: Callable[[tuple[float, ...]], Pair | None], pane: Pane | None = None
-) -> None:
-    """Draw the landmarks, with lines from where they were; of a plane those in it, and faint ones that are near."""
-    marks = view.landmarks
-    if marks is None:
-        return
-    taken: list[tuple[float, float, float]] = []  # where names lie, which are not written over each other
-    before = marks.points
-    document = view.document
-    after = marks.moved(document.base if view.tools.original else document.deformation)
-    for name, old, new in zip(marks.names, before.tolist(), after.tolist(), strict=True):
-        away = 0.0
-        if pane is not None:
-            axis = pane.plane.axis
-            away = abs(new[axis] - pane.index[axis])
-            if away > 0.5 and away * pane.spacing[axis] > _NEARBY:
-                continue
-        start, end = seen(tuple(old)), seen(tuple(new))
-        if start is None or end is None:
-            continue
-        if math.dist(start, end) > 1.0:
-            lines.add_line(start, end, theme.DARK, 3.0)
-            lines.add_line(start, end, _MARK & 0x90FFFFFF, 1.0)
-            lines.add_circle(start, 2.5, _MARK & 0x90FFFFFF, 0, 1.0)
-        x, y = end
-        corners: list[Any] = [imgui.ImVec2(x + a, y + b) for a, b in ((0, -5), (5, 0), (0, 5), (-5, 0))]
-        if away <= 0.5:
-            lines.add_convex_poly_filled(corners, _MARK)
-            size, x = imgui.calc_text_size(name), x + _INSET
-            for begin, over, low in sorted(taken):
-                if abs(y - low) < size.y and begin < x + size.x and x < over:
-                    x = over + _INSET
-            taken.append((x, x + size.x, y))
-            _text(lines, (x, y), name, _MARK, (0.0, 0.5))
-        lines.add_polyline([*corners, corners[0]], theme.DARK if away <= 0.5 else _MARK & 0x90FFFFFF, 1.5, 0)
 
 
 def _bar(lines: imgui.ImDrawList, place: Place, scale: float) -> None:
@@ -616,7 +607,9 @@ def _held(view: View) -> str:
         return "all keys move" if held.shift else f"key of frame {document.frame}; with Shift, all keys move"
     if stroke.brush != "grab":
         return f"{named(stroke)} {done(stroke)}"
-    return "by " + " ".join(f"{v:+.1f}" for v in stroke.by)  # the held point stays under the pointer
+    unit = "" if document.space is None else " mm"
+    by = document.as_saved(stroke).by
+    return "by " + " ".join(f"{v:+.1f}" for v in by) + unit  # the held point stays under the pointer
 
 
 def _is_before(view: View) -> bool:
@@ -635,7 +628,7 @@ def _of_a_volume(view: View, tools: VolumeTools, hover: tuple[float, ...]) -> li
     pane = tools.pane_under
     if pane is not None:
         seen = document.base if _is_before(view) else document.deformation
-        value = slices.value(seen, pane.plane, hover, pane.index[pane.plane.axis])
+        value = slices.value(seen, pane.plane, pane.own(hover), pane.index[pane.plane.axis])
     elif tools.under is not None:
         value = slices.told(stage.value(tools.under))
     else:

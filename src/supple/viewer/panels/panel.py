@@ -13,12 +13,13 @@ from supple.engine.sampling import BETWEEN
 from supple.errors import shown
 from supple.files.options import ClipOptions
 from supple.gpu.plate import OVERLAYS
+from supple.media.transforms import CONVENTIONS
 from supple.media.volume import suffix_of
 from supple.viewer.document.background import Export
 from supple.viewer.document.files import LOSSY, Question
 from supple.viewer.document.settings import keep
 from supple.viewer.document.words import step
-from supple.viewer.panels import faces, straightening, strokes, theme, volume
+from supple.viewer.panels import faces, registering, straightening, strokes, theme, volume
 from supple.viewer.panels.actions import ACTIONS
 from supple.viewer.panels.overlay import certified
 from supple.viewer.panels.stages import ImageStage
@@ -67,6 +68,7 @@ def panel(view: View) -> None:
     imgui.set_next_window_content_size((wide, 0))
     imgui.begin_child("sections", (wide + imgui.get_style().scrollbar_size + 1, -foot))
     strokes.brush(view)
+    registering.draw(view)
     strokes.strokes(view)
     volume.draw(view)
     _seeing(view)
@@ -128,6 +130,21 @@ _FORMATS = {
     "video": (".mp4", ".mov", ".mkv", ".webm", ".gif"),
     "volume": (".nii.gz", ".nrrd", ".mha", ".tif"),
 }
+_FIELDS = (
+    "itk",
+    "fsl-relative",
+    "fsl-absolute",
+    "afni",
+    "mrtrix",
+    "mrtrix-displacement",
+    "niftyreg",
+    "spm-deformation",
+)
+_OF_FIELDS = {"itk": (".nii.gz", ".nrrd", ".mha", ".h5")}
+_FIELD = (
+    "The bent volume; or one field of all that bends it, fields and affine maps and strokes, in the convention of a "
+    "program: ITK's is that of ANTs and of 3D Slicer"
+)
 _HOLD = (
     "How many frames at each end keep every bit, so that a shot is cut back in: strokes fade towards them, here as well"
 )
@@ -140,9 +157,11 @@ _BETWEEN = (
 def _exports(view: View, asked: Question) -> None:
     """Draw the options of an export: its format, which is the suffix of its name, and what that has."""
     kind, commands, path = view.stage.kind, view.commands, asked.path or ""
+    if kind == "volume":
+        path = _of_what(view, asked)
     suffix = suffix_of(path)
     label("Format", "The suffix of the name says the format, too")
-    formats = list(_FORMATS[kind])
+    formats = list(_FORMATS[kind] if commands.field is None else _OF_FIELDS.get(commands.field, (".nii.gz",)))
     changed, index = imgui.combo("##format", formats.index(suffix) if suffix in formats else -1, formats)
     if changed:
         asked.path = path[: len(path) - len(suffix)] + formats[index]
@@ -175,6 +194,21 @@ def _exports(view: View, asked: Question) -> None:
         made |= _of_time(view, clip)
     if made:
         commands.options = {**commands.options, "clip": replace(clip, **made)}
+
+
+def _of_what(view: View, asked: Question) -> str:
+    """Draw the choice between the bent volume and its field; return the name of the file."""
+    commands, path = view.commands, asked.path or ""
+    names = [None, *_FIELDS]
+    label("Write", _FIELD)
+    said = ["the bent volume", *(f"its field: {CONVENTIONS[name].label} ({name})" for name in _FIELDS)]
+    changed, index = imgui.combo("##what", names.index(commands.field), said)
+    hint(_FIELD)
+    if changed:
+        commands.field = names[index]
+        stem = path.removesuffix(suffix_of(path)).removesuffix("-bent").removesuffix("-field")
+        path = asked.path = f"{stem}-{'bent' if commands.field is None else 'field'}.nii.gz"
+    return path
 
 
 def _of_time(view: View, clip: ClipOptions) -> dict[str, Any]:

@@ -3,25 +3,22 @@
 from __future__ import annotations
 
 import math
-import re
 import time
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from supple.arrays import warp_array
 from supple.deformation import Deformation
-from supple.engine.sampling import Sampling
-from supple.files.volumes import sampling_of
 from supple.gpu.device import Gpu
 from supple.gpu.screen import Screen
 from supple.media.volume import Volume
 from supple.media.volume.data import rescaled
 from supple.render.labels import LabelColours
-from supple.viewer.panels.stages import filled
-from supple.viewer.tools.planes import RENDERED, Plane
+from supple.space.geometry import Grid
+from supple.viewer.panels.layers import Layer, Registration, names_in
+from supple.viewer.panels.stages import VolumeStage, filled
+from supple.viewer.tools.planes import FIXED, RENDERED, Plane
 from supple.viewer.tools.volumes import VolumeTools
 
 Array = npt.NDArray[Any]
@@ -38,53 +35,43 @@ _LOOKED_AT = 1 << 20  # voxels
 class Slices:
     """The planes of a volume, of a series the first; labels are not mixed, and have colours of their own."""
 
-    def __init__(
-        self, gpu: Gpu, volume: Volume, labels: bool = False, unit: str = "", colours: LabelColours | None = None
-    ) -> None:
-        self._gpu, self.labels, self.unit = gpu, labels, unit
-        self._samples = _first(volume)
-        self._scaling, self._names = volume.scaling, _names_in(volume.header)
-        self._colours = colours or LabelColours()
-        self._range = _range_of(self._samples)
-        self._planes: dict[int, list[tuple[Deformation | None, int, Array]]] = {}  # two of each axis
-        self._textures: dict[tuple[int, bool], tuple[Any, Array, tuple[float, float]]] = {}
+    def __init__(self, gpu: Gpu, stage: VolumeStage, labels: bool = False) -> None:
+        volume, known, transfer = stage.volume, stage.registration, stage.scene.transfer
+        self._gpu, self.labels, self.unit, self.segmentation = gpu, labels, stage.unit, stage.segmentation
+        self.names = names_in(volume.header) if stage.names is None else stage.names
+        self._colours = transfer if isinstance(transfer, LabelColours) else LabelColours()
+        self._bent = Layer(volume if known is None else known.moving, known, labels=labels)
+        self._fixed = None if known is None or known.fixed is None else Layer(known.fixed)
+        self._over: Layer | None = None
+        if stage.segmentation is not None:
+            known = known or Registration(volume, Deformation(volume.grid, border=None))
+            self._over = Layer(stage.segmentation.volume, known, labels=True)
+        self._textures: dict[tuple[int, bool], tuple[Any, tuple[Array, ...], object]] = {}
         self._screens: dict[tuple[int, str], Screen] = {}
+        self._grid: Grid | None = None  # along the axes of the patient, if planes are
         self._seconds: dict[int, float] = {}  # what each view took the last time
 
     def sampled(self, deformation: Deformation | None, axis: int, index: int) -> Array:
         """Return a plane of the volume, bent or not, by its two axes, the slower one first; the last ones are kept."""
-        if deformation is not None and deformation.is_identity:
-            deformation = None
-        kept = self._planes.setdefault(axis, [])
-        for known in kept:
-            if known[0] is deformation and known[1] == index:
-                kept.remove(known)
-                kept.append(known)
-                return known[2]
-        if deformation is None:
-            raw = np.take(self._samples, index, axis=2 - axis)
-        else:
-            first, sizes = [0, 0, 0], list(self._samples.shape[::-1])
-            first[axis], sizes[axis] = index, 1
-            sampling = sampling_of(Sampling("nearest" if self.labels else "auto"))
-            space = deformation.space_on(deformation.grid.crop(first, sizes))
-            raw = warp_array(self._samples, space, sampling, alpha=False)[0].squeeze(2 - axis)
-            if not self.labels:
-                np.clip(raw, *self._range, out=raw, where=np.isfinite(raw))  # as exports are clamped
-        made = rescaled(raw, self._scaling)
-        self._planes[axis] = [*kept[-1:], (deformation, index, made)]  # the result, and what it is compared with
-        return made
+        return self._bent.sampled(deformation, axis, index, self._grid)
 
     def value(self, deformation: Deformation | None, plane: Plane, point: tuple[float, ...], index: int) -> str:
-        """Return the value of the voxel at a point of a plane, with its unit, or the name of a label."""
+        """Return the value of the voxel at a point of a plane, with its unit, or the name of a label; of all layers."""
         rest = sorted((plane.across, plane.down), reverse=True)
-        value = self.sampled(deformation, plane.axis, index)[tuple(math.floor(point[k] + 0.5) for k in rest)]
-        return self.told(value)
+        at = tuple(math.floor(point[k] + 0.5) for k in rest)
+        said = self.told(self.sampled(deformation, plane.axis, index)[at])
+        if self._fixed is not None:
+            said += f"   fixed {self._fixed.sampled(None, plane.axis, index, self._grid)[at]:.6g}"
+        if self._over is not None and self.segmentation is not None:
+            label = int(self._over.sampled(deformation, plane.axis, index, self._grid)[at])
+            if label:
+                said += f"   label {label}" + (f" ({name})" if (name := self.segmentation.names.get(label)) else "")
+        return said
 
     def told(self, value: Any) -> str:
         """Return a value with its unit, or the name of a label."""
         if self.labels:
-            name = self._names.get(int(value)) if np.isfinite(value) else None
+            name = self.names.get(int(value)) if np.isfinite(value) else None
             return f"label {value:g}" + (f" ({name})" if name else "")
         if self.unit == "label":  # mixed where labels meet
             return f"label {value:.6g}"
@@ -95,7 +82,7 @@ class Slices:
 
         In a drag, planes other than its own that take long are left until the pointer is ``resting``.
         """
-        document = tools.document
+        document, self._grid = tools.document, None if tools.upright is None else tools.upright.grid
         bent = document.base if tools.original else document.deformation
         seen = (bent,) if tools.split is None else (bent, document.base)
         for k in tools.places:
@@ -104,31 +91,52 @@ class Slices:
             slow = self._seconds.get(k, 0.0) > AT_ONCE
             if slow and tools.dragging and not resting and k != tools.active and (k, False) in self._textures:
                 continue
-            plane, begun = tools.planes[k], time.perf_counter()
-            for second, each in enumerate(seen):
-                made = self.sampled(each, plane.axis, tools.index[plane.axis])
-                if self._upload((k, bool(second)), plane, made, tools.sight.window) and not second:
+            pane, begun = tools.pane(k), time.perf_counter()
+            plane, index = pane.plane, pane.index[pane.plane.axis]
+            for second, each in enumerate(seen if k < FIXED else (None,)):
+                if (
+                    self._upload((k, bool(second)), tools, plane, self._layers(each, k, plane.axis, index))
+                    and not second
+                ):
                     self._seconds[k] = time.perf_counter() - begun
 
-    def _upload(self, key: tuple[int, bool], plane: Plane, values: Array, window: tuple[float, float]) -> bool:
+    def _layers(self, deformation: Deformation | None, k: int, axis: int, index: int) -> tuple[Array, ...]:
+        """Return what a view of a plane is made of: the bent volume or the fixed one, both, and labels."""
+        if k >= FIXED:
+            return (self._fixed.sampled(None, axis, index, self._grid),) if self._fixed is not None else ()
+        rest = (self._fixed, None), (self._over, deformation)
+        others = (layer.sampled(bend, axis, index, self._grid) for layer, bend in rest if layer is not None)
+        return (self.sampled(deformation, axis, index), *others)
+
+    def _upload(self, key: tuple[int, bool], tools: VolumeTools, plane: Plane, layers: tuple[Array, ...]) -> bool:
         """Upload a plane to the device, if it is not there; return whether it was not."""
-        known = self._textures.get(key)
-        if known is not None and known[1] is values and known[2] == window:
+        known, compared, over = self._textures.get(key), tools.comparison, self.segmentation
+        look = tools.sight.window, compared and compared.look, over and over.look
+        if known is not None and known[2] == look and all(a is b for a, b in zip(known[1], layers, strict=True)):
             return False
-        texture = filled(self._gpu, None if known is None else known[0], turned(self.shaded(values, window), plane))
-        self._textures[key] = texture, values, window
+        rest = list(layers[1:])
+        if compared is None:
+            made = self.shaded(layers[0], tools.sight.window)
+        elif key[0] >= FIXED:
+            made = greys(layers[0], compared.window)
+        else:
+            rows, columns = sorted((plane.across, plane.down), reverse=True)
+            steps = tools.geometry.spacing[rows], tools.geometry.spacing[columns]
+            made = self.shaded(layers[0], tools.sight.window)
+            made = compared.compared(made, greys(rest.pop(0), compared.window), steps)
+        if over is not None and rest:
+            made = over.tinted(made, rest[0])
+        texture = filled(self._gpu, None if known is None else known[0], turned(made, plane))
+        self._textures[key] = texture, layers, look
         return True
 
     def shaded(self, values: Array, window: tuple[float, float]) -> Pixels:
         """Return values as greys within a window, or labels as colours: (rows, columns, 4)."""
+        if not self.labels:
+            return greys(values, window)
         made = np.full((*values.shape, 4), 255, np.uint8)
-        if self.labels:
-            found, places = np.unique(np.nan_to_num(np.asarray(values, np.float64)), return_inverse=True)
-            made[..., :3] = np.rint(255 * self._colours.of(found)[places.reshape(values.shape), :3])
-            return made
-        low, high = window
-        part = (np.asarray(values, np.float32) - np.float32(low)) * np.float32(255 / max(high - low, 1e-30))
-        made[..., :3] = np.clip(np.nan_to_num(part) + 0.5, 0, 255).astype(np.uint8)[..., None]
+        found, places = np.unique(np.nan_to_num(np.asarray(values, np.float64)), return_inverse=True)
+        made[..., :3] = np.rint(255 * self._colours.of(found)[places.reshape(values.shape), :3])
         return made
 
     def draw(self, drawing: Any, format: str, tools: VolumeTools, ratio: float, size: tuple[int, int]) -> None:
@@ -151,7 +159,7 @@ class Slices:
                 0.0,
                 rows / box[3],
             )
-            second = self._textures[k, True][0] if tools.split is not None else None
+            second = self._textures[k, True][0] if tools.split is not None and k < FIXED else None
             cut = (view[0] + (tools.split or 0.0) * view[2] - low[0]) / columns
             if (k, format) not in self._screens:
                 self._screens[k, format] = Screen(self._gpu, format, "nearest" if self.labels else "linear")
@@ -163,7 +171,7 @@ def first_window(volume: Volume, unit: str) -> tuple[float, float]:
     """Return the values that are black and white at first: soft tissue in Hounsfield units, or most of the values."""
     if unit == "HU":
         return SOFT_TISSUE
-    samples = _first(volume)
+    samples = volume.samples[0] if volume.series else volume.samples
     step = max(1, math.ceil((samples.size / _LOOKED_AT) ** (1 / 3)))
     some = np.asarray(rescaled(samples[::step, ::step, ::step], volume.scaling), np.float64)
     known = some[np.isfinite(some)]
@@ -172,8 +180,12 @@ def first_window(volume: Volume, unit: str) -> tuple[float, float]:
     return float(known.min()), float(np.percentile(known[known > known.min()], _BRIGHTEST))
 
 
-def _first(volume: Volume) -> Array:
-    return volume.samples[0] if volume.series else volume.samples
+def greys(values: Array, window: tuple[float, float]) -> Pixels:
+    """Return values as greys within a window: (rows, columns, 4)."""
+    made, (low, high) = np.full((*values.shape, 4), 255, np.uint8), window
+    part = (np.asarray(values, np.float32) - np.float32(low)) * np.float32(255 / max(high - low, 1e-30))
+    made[..., :3] = np.clip(np.nan_to_num(part) + 0.5, 0, 255).astype(np.uint8)[..., None]
+    return made
 
 
 def physical(place: tuple[float, ...], ratio: float, size: tuple[int, int]) -> Rows:
@@ -190,27 +202,3 @@ def turned(values: Array, plane: Plane) -> Array:
     seen = values if plane.down > plane.across else np.swapaxes(values, 0, 1)
     across, down = plane.signs
     return np.ascontiguousarray(seen[::down, ::across])
-
-
-def _range_of(samples: Array) -> tuple[Any, Any]:
-    if samples.dtype.kind != "f":
-        return samples.min(), samples.max()
-    low, high = np.inf, -np.inf
-    for slab in samples:
-        known = slab[np.isfinite(slab)]
-        if known.size:
-            low, high = min(low, known.min()), max(high, known.max())
-    return (low, high) if low <= high else (-np.inf, np.inf)
-
-
-def _names_in(header: Any) -> dict[int, str]:
-    """Return the names of labels in the header of a segmentation of 3D Slicer."""
-    if not isinstance(header, Mapping):
-        return {}
-    names = {}
-    for key, name in header.items():
-        found = re.fullmatch(r"Segment(\d+)_Name", str(key))
-        value = str(header.get(f"Segment{found[1]}_LabelValue", "")) if found else ""
-        if value.isdigit():
-            names[int(value)] = str(name)
-    return names

@@ -7,7 +7,7 @@ import math
 import threading
 import time
 from collections import OrderedDict
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from dataclasses import replace
 from typing import Any
@@ -37,6 +37,7 @@ from supple.render.transfer import LABELS, Transfer
 from supple.space.geometry import Grid
 from supple.viewer.document.background import heard
 from supple.viewer.document.editing import Kind
+from supple.viewer.panels.layers import Registration, Segmentation
 from supple.viewer.panels.transforms import on_screen, seen, shown, usual_of
 from supple.viewer.tools.viewport import turn_of
 
@@ -561,6 +562,9 @@ class VolumeStage:
         self._plain = self.scene
         self.trouble = self.warned = ""  # a remark on the displayed image
         self._seconds = {False: 0.0, True: math.inf}  # of the last map without a freeze mask, and with one
+        self.registration: Registration | None = None  # of which the volume is what is bent, on the window's grid
+        self.segmentation: Segmentation | None = None
+        self.names: Mapping[int, str] | None = None  # of its own labels, if not those of its header
 
     def _made(self, transfer: Transfer | str) -> Scene:
         device = "cpu" if self._gpu.software else "gpu"

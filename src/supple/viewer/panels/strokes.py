@@ -287,7 +287,8 @@ def _row(view: View, i: int, stroke: Stroke, selected: bool) -> None:
     hint("Hidden: click to show it" if stroke.hidden else "Seen: click to hide it")
     imgui.same_line()
     short = document.misses(i)
-    text = listed(stroke)
+    unit = "" if document.space is None else f" mm {document.space}"
+    text = listed(document.as_saved(stroke), "" if document.space is None else " mm")
     coloured = short or (stroke.hidden and not selected)  # what is faint is not read on the ground of what is selected
     if coloured:
         imgui.push_style_color(imgui.Col_.text, theme.FAINT if stroke.hidden else theme.WARNING)
@@ -298,7 +299,7 @@ def _row(view: View, i: int, stroke: Stroke, selected: bool) -> None:
     imgui.pop_style_var()
     if coloured:
         imgui.pop_style_color()
-    hint(lambda: described(stroke, document.arrival(i)))
+    hint(lambda: described(document.as_saved(stroke), document.arrival(i), unit, document.place))
     imgui.pop_id()
 
 
@@ -311,11 +312,12 @@ def _selected(view: View, i: int) -> None:
         return
     stroke = own.at_frame(document.frame)
     axes = "xyt" if view.stage.kind == "video" else "xyz"
+    saved = document.as_saved(stroke)
     entries: dict[str, Any] = {}
     gap = imgui.get_style().item_inner_spacing.x
     for name, said in (("at", "From"), ("by", "By")) if stroke.brush == "grab" else (("at", "At"),):
-        values = list(getattr(stroke, name))
-        label(f"{said} {', '.join(axes[: len(values)])}")
+        values = list(getattr(saved, name))
+        label(f"{said} {', '.join(axes[: len(values)])}" + ("" if document.space is None else " mm"))
         wide = (imgui.get_content_region_avail().x - gap * (len(values) - 1)) / len(values)
         for axis in range(len(values)):
             if axis:
@@ -325,7 +327,9 @@ def _selected(view: View, i: int) -> None:
             hint(f"{said} {axes[axis]}")
             if entered and math.isfinite(value):
                 values[axis] = value
-                entries[name] = tuple(values)
+                changed: dict[str, Any] = {name: tuple(values)}
+                moved = document.as_edited(replace(saved, **changed))
+                entries[name] = getattr(moved, name)
     for name, said, number, form in (
         ("angle", "Angle", stroke.angle, "%.1f\u00b0"),
         ("factor", "Factor", stroke.factor, "%.3f"),

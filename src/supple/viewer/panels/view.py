@@ -22,13 +22,13 @@ from supple.gpu.screen import ALL, PLAIN, Part, Screen, canvas_texture, composed
 from supple.media import image
 from supple.media.faces import Face
 from supple.render.camera import Camera
-from supple.render.labels import LabelColours
 from supple.space.freezing import Freeze
 from supple.strokes import Recipe
 from supple.viewer.document.background import Certifier
-from supple.viewer.document.editing import Document, Landmarks
+from supple.viewer.document.editing import Document
 from supple.viewer.document.files import FileCommands
 from supple.viewer.document.keyframes import Part as KeyPart
+from supple.viewer.document.landmarks import Landmarks
 from supple.viewer.document.settings import keep_recent, settings
 from supple.viewer.panels.slices import Slices, physical
 from supple.viewer.panels.stages import ImageStage, VideoStage, VolumeStage, filled
@@ -249,9 +249,9 @@ class View:
         self.slices: Slices | None = None
         if isinstance(self.stage, VolumeStage):
             labels = bool(getattr(self.export.get("volume"), "labels", False))
-            transfer = self.stage.scene.transfer
-            colours = transfer if isinstance(transfer, LabelColours) else None
-            self.slices = Slices(self.gpu, self.stage.volume, labels, self.stage.unit, colours)
+            self.slices = Slices(self.gpu, self.stage, labels)
+        if isinstance(self.tools, VolumeTools):
+            self.tools.marks = self.landmarks
         leave = partial(self.call_later, 0, self.canvas.close)
         self.commands = FileCommands(self.document, self.source, self.write, leave, self.export)
         self.certifier = Certifier(self.canvas.request_draw)

@@ -82,6 +82,8 @@ KEYS: Mapping[str, Rows] = {
         "middle drag, Alt+drag": "move the view",
         "wheel on the object": "nearer and farther",
         "Shift+wheel, Shift+right drag": "size of the brush: the ring is where a twentieth of a drag is left",
+        "X": "the next way to compare with a fixed volume",
+        "L": "set a pair of landmarks, by a click in each of two volumes",
         "1  2  3  4": "give the whole canvas to the axial, coronal, sagittal plane or the rendering; again: all four",
         "Up, Down": "the next slice, and the one before",
         "0": "the view of the beginning",

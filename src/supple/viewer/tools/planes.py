@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from itertools import permutations
+from itertools import pairwise, permutations, product
 from typing import Self
 
-from supple.space.geometry import SIDES, Geometry
+import numpy as np
+
+from supple.space.geometry import SIDES, Floats, Geometry, Grid
 from supple.viewer.tools.drawing import Pair, Place
 
 Point = tuple[float, float, float]
 
 RENDERED = 3
 """The number of the rendering among the views; 0, 1 and 2 are the axial, the coronal and the sagittal plane."""
+FIXED = 4
+"""The numbers of the same planes of a fixed volume begin here."""
 GAP = 2.0  # logical pixels between two views
 _MARGIN = 0.9  # of a view: a plane that fits leaves room for letters
 _NEAREST, _FARTHEST = 40.0, 0.5  # zoom, relative to planes that fit
@@ -46,10 +50,16 @@ class Plane:
         return x, y, z
 
 
+def _order(geometry: Geometry) -> tuple[int, ...]:
+    """Return, for each axis of LPS, the axis of the voxels that is nearest to it."""
+    turned = np.abs(geometry.direction)
+    return max(permutations(range(3)), key=lambda axes: sum(turned[k, axis] for k, axis in enumerate(axes)))
+
+
 def planes_of(geometry: Geometry) -> tuple[Plane, ...]:
     """Return the axial, the coronal and the sagittal plane of a volume: along its voxels, whichever are nearest."""
     turned, placed = geometry.direction, geometry.convention != "array"
-    order = max(permutations(range(3)), key=lambda axes: sum(abs(turned[k, axis]) for k, axis in enumerate(axes)))
+    order = _order(geometry)
 
     def along(way: int) -> tuple[int, int, str, str]:
         """Return the voxels' axis of an axis of LPS, or of its negative; its sign; and what is at both its ends."""
@@ -81,9 +91,41 @@ def ends_of(planes: tuple[Plane, ...]) -> dict[int, tuple[str, str]]:
     return made
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Upright:
+    """The axes of the patient about an oblique volume: a grid whose axes are those that the voxels' are nearest to."""
+
+    grid: Grid
+    matrix: Floats  # from voxels, homogeneous, to its samples
+    inverse: Floats
+
+    @classmethod
+    def of(cls, geometry: Geometry, sizes: tuple[int, ...]) -> Upright:
+        """Return the smallest around a volume, with the spacing of its voxels."""
+        turned = np.zeros((3, 3))
+        for k, axis in enumerate(_order(geometry)):
+            turned[k, axis] = np.copysign(1.0, geometry.direction[k, axis])
+        corners = geometry.to_lps(list(product(*[(-0.5, n - 0.5) for n in sizes]))) @ turned / geometry.spacing
+        low, counts = corners.min(axis=0), np.maximum(np.ceil(np.ptp(corners, axis=0) - 1e-6), 1).astype(int)
+        origin = turned @ ((low + 0.5) * geometry.spacing)
+        grid = Grid(counts[::-1].tolist(), geometry.spacing, origin.tolist(), turned)
+        matrix, inverse = (np.linalg.solve(a, b) for a, b in pairwise((grid.matrix, geometry.matrix, grid.matrix)))
+        return cls(grid, np.asarray(matrix, np.float64), np.asarray(inverse, np.float64))
+
+    def seen(self, point: tuple[float, ...]) -> Point:
+        """Return the sample at a voxel."""
+        x, y, z, _ = (self.matrix @ (*point, 1.0)).tolist()
+        return x, y, z
+
+    def voxel(self, sample: tuple[float, ...]) -> Point:
+        """Return the voxel at a sample."""
+        x, y, z, _ = (self.inverse @ (*sample, 1.0)).tolist()
+        return x, y, z
+
+
 @dataclass(frozen=True, slots=True)
 class Pane:
-    """A plane in its place on the canvas."""
+    """A plane in its place on the canvas; along the axes of the patient, its own indices are those of that grid."""
 
     plane: Plane
     place: Place  # the rectangle of its view
@@ -92,15 +134,29 @@ class Pane:
     scale: float  # logical pixels of a millimetre
     spacing: Point
     sizes: tuple[int, ...]  # the number of voxels along each axis
+    upright: Upright | None = None
+
+    def own(self, point: tuple[float, ...]) -> tuple[float, ...]:
+        """Return a point, in voxels, in the indices of the plane."""
+        return point if self.upright is None else self.upright.seen(point)
 
     def to_canvas(self, point: tuple[float, ...]) -> Pair:
         """Return the position of a point, in voxels, on the canvas; it may lie before the plane or behind it."""
+        return self.placed(self.own(point))
+
+    def placed(self, point: tuple[float, ...]) -> Pair:
+        """Return the position of a point of the plane's own indices on the canvas."""
         (left, top, width, height), plane, (one, other) = self.place, self.plane, self.plane.signs
         a, b = ((point[k] - self.middle[k]) * self.spacing[k] * self.scale for k in (plane.across, plane.down))
         return left + width / 2 + one * a, top + height / 2 + other * b
 
     def to_point(self, x: float, y: float) -> Point:
         """Return the point of the plane, in voxels, under a position of the canvas; it may lie outside the volume."""
+        made = self.under(x, y)
+        return made if self.upright is None else self.upright.voxel(made)
+
+    def under(self, x: float, y: float) -> Point:
+        """Return the same in the plane's own indices."""
         (left, top, width, height), plane = self.place, self.plane
         made = [float(k) for k in self.index]
         ways = (plane.across, plane.signs[0], x - left - width / 2), (plane.down, plane.signs[1], y - top - height / 2)
@@ -114,12 +170,17 @@ class Pane:
 
     def crosses(self, point: tuple[float, ...]) -> bool:
         """Return whether a point lies within half a voxel of the plane."""
-        return abs(point[self.plane.axis] - self.index[self.plane.axis]) <= 0.5
+        return abs(self.away(point)) <= 0.5
+
+    def away(self, point: tuple[float, ...]) -> float:
+        """Return how far a point lies from the plane, in voxels."""
+        return self.own(point)[self.plane.axis] - self.index[self.plane.axis]
 
     @property
     def box(self) -> Place:
         """The rectangle of the whole plane on the canvas; a part of it may lie beyond the view."""
-        (a, b), (c, d) = self.to_canvas((-0.5,) * 3), self.to_canvas(tuple(n - 0.5 for n in self.sizes))
+        sizes = self.sizes if self.upright is None else self.upright.grid.sizes
+        (a, b), (c, d) = self.placed((-0.5,) * 3), self.placed(tuple(n - 0.5 for n in sizes))
         return min(a, c), min(b, d), abs(c - a), abs(d - b)
 
 
@@ -139,14 +200,14 @@ class Sight:
 
     def slid(self, pane: Pane, dx: float, dy: float) -> Self:
         """Return the sight moved by logical pixels of a pane."""
-        (left, top, width, height), middle = pane.place, pane.to_point
+        (left, top, width, height), middle = pane.place, pane.under
         moved = middle(left + width / 2 - dx, top + height / 2 - dy)
         return self._about(pane, moved)
 
     def zoomed(self, pane: Pane, x: float, y: float, factor: float) -> Self:
         """Return the sight zoomed about a position of a pane."""
         zoom = min(max(self.zoom * factor, _FARTHEST), _NEAREST)
-        point, kept = pane.to_point(x, y), self.zoom / zoom
+        point, kept = pane.under(x, y), self.zoom / zoom
         moved = tuple(p + (m - p) * kept for p, m in zip(point, self.middle, strict=True))
         return replace(self._about(pane, moved), zoom=zoom)
 
@@ -154,7 +215,7 @@ class Sight:
         """Return the sight with another middle, along the axes of a pane."""
         axis = pane.plane.axis
         kept = tuple(self.middle[k] if k == axis else middle[k] for k in range(3))
-        return replace(self, middle=_within(kept, pane.sizes))
+        return replace(self, middle=_within(kept, pane.sizes if pane.upright is None else pane.upright.grid.sizes))
 
     def levelled(self, wider: float, brighter: float) -> Self:
         """Return the sight with a window wider by a factor, and brighter by a fraction of its width."""
@@ -168,9 +229,20 @@ def _within(point: tuple[float, ...], sizes: tuple[int, ...]) -> Point:
     return x, y, z
 
 
-def places_of(canvas: Pair, large: int | None, top: float = 0.0) -> dict[int, Place]:
-    """Return the places of the visible views, on a canvas that begins there: the rendering is at the upper right."""
+def places_of(canvas: Pair, large: int | None, top: float = 0.0, beside: bool = False) -> dict[int, Place]:
+    """Return the places of the visible views, on a canvas that begins there: the rendering is at the upper right.
+
+    With ``beside``, the planes of a fixed volume are below those of the other one, and beside a plane that is large.
+    """
     width, height = canvas
+    if beside and large != RENDERED:
+        planes = range(RENDERED) if large is None else (large,)
+        across = max((width - GAP * (2 if large is None else 1)) / (3 if large is None else 2), 1.0)
+        high = max((height - GAP) / 2, 1.0) if large is None else height
+        above = {k: (i * (across + GAP), top) for i, k in enumerate(planes)}
+        steps = (0.0, high + GAP) if large is None else (across + GAP, 0.0)
+        other = {k + FIXED: (x + steps[0], y + steps[1]) for k, (x, y) in above.items()}
+        return {k: (x, y, across, high) for k, (x, y) in (above | other).items()}
     if large is not None:
         return {large: (0.0, top, width, height)}
     across, down = max((width - GAP) / 2, 1.0), max((height - GAP) / 2, 1.0)
@@ -183,7 +255,7 @@ def fitting(places: dict[int, Place], planes: tuple[Plane, ...], sizes: tuple[in
     """Return the logical pixels of a millimetre at which all visible planes fit."""
     extent = [n * s for n, s in zip(sizes, spacing, strict=True)]
     fits = [
-        _MARGIN * min(place[2] / extent[planes[k].across], place[3] / extent[planes[k].down])
+        _MARGIN * min(place[2] / extent[planes[k % FIXED].across], place[3] / extent[planes[k % FIXED].down])
         for k, place in places.items()
         if k != RENDERED
     ]

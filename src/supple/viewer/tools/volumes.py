@@ -9,15 +9,18 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
+from supple.errors import SuppleError
 from supple.render.camera import Camera
 from supple.render.picture import Pick
 from supple.space.geometry import Geometry
 from supple.viewer.document.editing import Document
+from supple.viewer.document.landmarks import Landmarks
 from supple.viewer.tools import orbit
 from supple.viewer.tools.brushes import GRIP, ZOOM, pans
+from supple.viewer.tools.comparing import Comparison
 from supple.viewer.tools.drawing import Held, Pair, Place
 from supple.viewer.tools.gestures import Event, Lead, Tools, commanded, shifted
-from supple.viewer.tools.planes import RENDERED, Pane, Sight, fitting, holding, places_of, planes_of
+from supple.viewer.tools.planes import FIXED, RENDERED, Pane, Sight, Upright, fitting, holding, places_of, planes_of
 
 BUTTON = 22.0  # logical pixels of the button that enlarges a view, in its upper right corner
 _CUBE, _CROSS, _SLIDE, _LEVEL = "cube", "cross", "slide", "level"
@@ -43,13 +46,19 @@ class VolumeTools(Tools[Camera]):
         drag: Callable[[Pick, Pair], tuple[float, ...]],
         window: Pair,
         points: npt.NDArray[np.float64] | None = None,
+        comparison: Comparison | None = None,
     ) -> None:
         super().__init__(document, Camera())
+        self.comparison = comparison  # with a fixed volume, on the same grid
+        self.marks: Landmarks | None = None  # that clicks set
+        self.marking = False  # whether a click sets a landmark
         self._home, self.pick, self.drag = self.view, pick, drag
         self.stage = orbit.Stage(document.shape, geometry, (1, 1), points)
         self.corner: Pair = (0.0, 0.0)  # the upper left corner of the rendering, on the canvas
         self._picked: Pick | None = None
+        self._surfaces: tuple[object, dict[Pair, tuple[float, ...] | None]] = None, {}
         self._under: tuple[tuple[object, ...], Pick | None] | None = None
+        self.upright: Upright | None = None  # where planes are along the axes of the patient
         self.geometry, self.planes = geometry, planes_of(geometry)
         self.sizes = tuple(reversed(document.shape))
         self.across = self.planes[2].axis  # to the left and right of the patient
@@ -60,10 +69,12 @@ class VolumeTools(Tools[Camera]):
         """The view under the pointer; during a gesture, that in which it began."""
         self.places: dict[int, Place] = {}
         self._whole, self._top, self._base = canvas_size, 0.0, self.sight
+        self._other: Pair | None = None  # the window of the fixed volume, as `_base` has that of the other
         self._arrange()
 
     def _arrange(self) -> None:
-        self.places = places_of(self._whole, self.sight.large, self._top)
+        beside = self.comparison is not None and self.comparison.beside
+        self.places = places_of(self._whole, self.sight.large, self._top, beside)
         if RENDERED in self.places:
             left, top, width, height = self.places[RENDERED]
             self.corner = left, top
@@ -72,9 +83,15 @@ class VolumeTools(Tools[Camera]):
             self.active = next(iter(self.places))
 
     def enlarge(self, which: int | None) -> None:
-        """Give a view the whole canvas; None shows all four."""
-        self.sight = replace(self.sight, large=which)
+        """Give a view the whole canvas; None shows all."""
+        self.sight = replace(self.sight, large=None if which is None else which % FIXED)
         self._arrange()
+
+    def compare(self, mode: str) -> None:
+        """Compare with the fixed volume in another way."""
+        if self.comparison is not None:
+            self.comparison.mode = mode
+            self._arrange()
 
     @property
     def index(self) -> tuple[int, ...]:
@@ -88,9 +105,22 @@ class VolumeTools(Tools[Camera]):
 
     def pane(self, k: int) -> Pane:
         """Return a visible plane in its place."""
-        sight, spacing = self.sight, self.geometry.spacing
-        scale = sight.zoom * fitting(self.places, self.planes, self.sizes, spacing)
-        return Pane(self.planes[k], self.places[k], self.index, sight.middle, scale, spacing, self.sizes)
+        sight, spacing, upright = self.sight, self.geometry.spacing, self.upright
+        sizes = self.sizes if upright is None else upright.grid.sizes
+        scale = sight.zoom * fitting(self.places, self.planes, sizes, spacing)
+        index = self.index
+        if upright is not None:
+            index = tuple(math.floor(v + 0.5) for v in upright.seen(sight.cross))
+        plane, place = self.planes[k % FIXED], self.places[k]
+        return Pane(plane, place, index, sight.middle, scale, spacing, self.sizes, upright)
+
+    def reformat(self, on: bool) -> None:
+        """Show planes along the axes of the patient, or along the voxels."""
+        self.upright = Upright.of(self.geometry, self.sizes) if on else None
+        sizes = self.sizes if self.upright is None else self.upright.grid.sizes
+        x, y, z = ((n - 1) / 2 for n in sizes)
+        self.sight = replace(self.sight, middle=(x, y, z), zoom=1.0)
+        self._first = replace(self._first, middle=(x, y, z))
 
     @property
     def pane_under(self) -> Pane | None:
@@ -108,9 +138,25 @@ class VolumeTools(Tools[Camera]):
             self._under = key, None if at is None else self.pick(*self._within(*at))
         return self._under[1]
 
+    @property
+    def busy(self) -> bool:
+        """Whether a button is down."""
+        return self._gesture is not None
+
+    def surface(self, place: Pair) -> tuple[float, ...] | None:
+        """Return the voxel that is rendered at a position of the canvas; the last ones are kept."""
+        key = self.view, self.stage.size, self.document.revision
+        if self._surfaces[0] != key:
+            self._surfaces = key, {}
+        known = self._surfaces[1]
+        if place not in known:
+            found = self.pick(*self._within(*place))
+            known[place] = None if found is None else found.index
+        return known[place]
+
     def forget(self) -> None:
-        """Cast the ray again, after a change of the image."""
-        self._under = None
+        """Cast rays again, after a change of the image."""
+        self._under, self._surfaces = None, (None, {})
 
     @property
     def cube(self) -> tuple[orbit.Face, ...]:
@@ -146,7 +192,7 @@ class VolumeTools(Tools[Camera]):
         """The brush's radius under the pointer, in logical pixels; None outside of the volume."""
         held = self.held
         point = self.hover if held is None else held.point
-        if point is None:
+        if point is None or self.active >= FIXED or self.marking:
             return None
         return (self.radius if held is None else held.stroke.radius) * self._scale(point)
 
@@ -157,7 +203,7 @@ class VolumeTools(Tools[Camera]):
 
     def grip_of(self, k: int) -> Pair | None:
         """Return the position of the knob of the line of symmetry in a view; None where it has none."""
-        if not self.symmetric or k == RENDERED or self.planes[k].across != self.across:
+        if not self.symmetric or self.upright is not None or k >= RENDERED or self.planes[k].across != self.across:
             return None
         pane, here = self.pane(k), [0.0, 0.0, 0.0]
         here[self.across] = self.middle
@@ -178,6 +224,12 @@ class VolumeTools(Tools[Camera]):
         """Undo the current drag; return whether there was any."""
         if self._gesture is not None:
             self.sight = self._base
+            if self.comparison is not None and self._other is not None:
+                self.comparison.window = self._other
+        elif self.marking and self.marks is not None:
+            self.marking = False
+            self.marks.drop()
+            return True
         return super().abandon()
 
     def button(self, k: int) -> Place:
@@ -197,6 +249,10 @@ class VolumeTools(Tools[Camera]):
                 self.enlarge(self.active if self.sight.large is None else None)
                 return True
             self._base = self.sight
+            self._other = None if self.comparison is None else self.comparison.window
+            if self.marking and event.get("button") == _LEFT and not shifted(event):
+                self.pointer = place
+                return self._mark()
         made = super()._on_pointer_down(event)
         if isinstance(self._gesture, Lead) and self._gesture.how == _CROSS:
             self._cross(place)
@@ -210,7 +266,8 @@ class VolumeTools(Tools[Camera]):
             return "orbit" if rendering else _LEVEL
         if button == _LEFT and rendering and self.side is not None:
             return _CUBE
-        return _CROSS if button == _LEFT and not rendering and shifted(event) else None
+        crosses = shifted(event) or self.active >= FIXED
+        return _CROSS if button == _LEFT and not rendering and crosses else None
 
     def _led(self, how: str, view: Camera, dx: float, dy: float) -> Camera:
         if not (dx or dy):
@@ -224,11 +281,38 @@ class VolumeTools(Tools[Camera]):
         gesture.now = place
         dx, dy = (b - a for a, b in zip(gesture.start, place, strict=True))
         if gesture.how == _LEVEL:
-            self.sight = self._base.levelled(math.exp(min(max(dx / _SLOW, -9.0), 9.0)), -dy / _SLOW)
+            how = math.exp(min(max(dx / _SLOW, -9.0), 9.0)), -dy / _SLOW
+            if self.comparison is not None and self._other is not None and self.active >= FIXED:
+                self.comparison.window = replace(self._base, window=self._other).levelled(*how).window
+            else:
+                self.sight = self._base.levelled(*how)
         elif gesture.how == _SLIDE:
             self.sight = self._base.slid(replace(self.pane(self.active), middle=self._base.middle), dx, dy)
         else:
             self._cross(place)
+
+    @property
+    def status(self) -> str | None:
+        """The reason for a refused action, or what a click sets, in a line."""
+        if not self.marking or self.marks is None:
+            return super().status
+        beside = self.comparison is not None and self.comparison.beside
+        if self.marks.open is None:
+            where = "in the bent volume or in the fixed one" if beside else "in the bent volume"
+            return f"click a point {where}; Escape ends it"
+        done = bool(np.isfinite(self.marks.points[self.marks.open]).all())
+        return f"click the same point in the {'fixed' if done else 'bent'} volume; Escape ends it"
+
+    def _mark(self) -> bool:
+        """Set a landmark where the pointer is, in the volume that is there; return whether it had an effect."""
+        point, marks = self.hover, self.marks
+        if point is None or marks is None:
+            return False
+        apart = self.active == RENDERED or (self.comparison is not None and self.comparison.beside)
+        fixed = self.active >= FIXED if apart else None
+        self.sight = self.sight.at(point, self.sizes)
+        self.marking = not marks.click(point, self.document.deformation, fixed)
+        return True
 
     def _cross(self, place: Pair) -> None:
         """Move the crosshair, in the plane under the pointer, to a position of the canvas."""
@@ -273,8 +357,10 @@ class VolumeTools(Tools[Camera]):
             picked = self._picked if held.new else None
             held_at: Pick = picked or Pick(held.point, held.point, 0.0)  # type: ignore[arg-type]
             return self.drag(held_at, self._within(x, y))
-        gone = [a - b for a, b in zip(pane.to_point(x, y), held.point, strict=True)]
+        gone = [a - b for a, b in zip(pane.under(x, y), pane.own(held.point), strict=True)]
         gone[pane.plane.axis] = 0.0
+        if pane.upright is not None:
+            gone = (pane.upright.inverse[:3, :3] @ gone).tolist()
         return tuple(gone)
 
     def _scale(self, point: tuple[float, ...]) -> float:
@@ -283,6 +369,9 @@ class VolumeTools(Tools[Camera]):
 
     def _normal(self, point: tuple[float, ...]) -> tuple[float, ...] | None:
         pane = self.pane_under
+        if pane is not None and pane.upright is not None:
+            turn = self.geometry.direction.T @ np.array(pane.upright.grid.direction)
+            return tuple((turn @ pane.plane.normal).tolist())
         if pane is not None:
             return pane.plane.normal
         seen = self.stage.view(self.view)
@@ -304,9 +393,10 @@ class VolumeTools(Tools[Camera]):
 
     def step(self, k: int, slices: float) -> None:
         """Move the crosshair through a plane's slices; above 0, to the head, to the front or to the left."""
-        plane, cross = self.planes[k], list(self.sight.cross)
-        cross[plane.axis] += plane.forward * slices
-        self.sight = self.sight.at(tuple(cross), self.sizes)
+        plane, upright, cross = self.planes[k % FIXED], self.upright, self.sight.cross
+        moved = list(cross if upright is None else upright.seen(cross))
+        moved[plane.axis] += plane.forward * slices
+        self.sight = self.sight.at(tuple(moved) if upright is None else upright.voxel(tuple(moved)), self.sizes)
 
     def _key(self, key: str) -> bool:
         if key == "0" and self.held is None:
@@ -317,6 +407,14 @@ class VolumeTools(Tools[Camera]):
             return False
         elif key in _KEYS:
             self.enlarge(None if self.sight.large == _KEYS[key] else _KEYS[key])
+        elif key in ("x", "X", "l", "L") and self.comparison is None:
+            raise SuppleError("there is no fixed volume beside this one: open both by --fixed")
+        elif key in ("x", "X") and self.comparison is not None:
+            self.comparison.turn()
+            self._arrange()
+        elif key in ("l", "L") and self.marks is not None:
+            self.marking = not self.marking
+            self.marks.drop()
         elif key in ("ArrowUp", "ArrowDown"):
             self.step(0 if self.active == RENDERED else self.active, 1 if key == "ArrowUp" else -1)
         else:

@@ -19,19 +19,19 @@ from supple.errors import SuppleError, argument, shown
 from supple.fields import Placed
 from supple.files.clips import open_clip, parts_of, refuse_maps
 from supple.files.jobs import Job
-from supple.files.landmarks import read_landmarks
-from supple.files.options import VolumeOptions
+from supple.files.options import GridOptions, VolumeOptions
 from supple.files.renders import default_transfer
-from supple.files.volumes import background_of, in_space, is_of_labels, open_volume
+from supple.files.volumes import in_space
 from supple.gpu.device import Gpu, open_gpu
 from supple.media import medium
 from supple.media.image import Picture, read
 from supple.media.volume import Volume
 from supple.render.camera import Camera
 from supple.space.checks import integer, length, point
-from supple.space.geometry import Geometry, Grid, check_upright
+from supple.space.geometry import Geometry, Grid
 from supple.strokes import Fit, Recipe, fit_recipe
-from supple.viewer.document.editing import Document, Landmarks
+from supple.viewer.document.editing import Document
+from supple.viewer.document.landmarks import Landmarks
 from supple.viewer.panels.slices import first_window
 from supple.viewer.panels.stages import FrameCache, ImageStage, VideoStage, VolumeStage
 from supple.viewer.panels.transforms import shown as as_pixels
@@ -40,6 +40,7 @@ from supple.viewer.tools.drawing import Pair
 from supple.viewer.tools.playback import Playback
 from supple.viewer.tools.volumes import VolumeTools
 from supple.viewer.window import dialogs
+from supple.viewer.window.volumes import OPTIONS, comparison_of, landmarks_of, volume_stage
 
 if TYPE_CHECKING:
     from supple.viewer.window.window import Window
@@ -63,18 +64,25 @@ class ViewOptions:
     convention: str | None = None  # of a table of them that does not name its own, as in `supple points`
     maps: tuple[Placed, ...] = ()  # fields and affine maps before all strokes, through which the source is seen
     frame: int | None = None  # of a clip, the one that is shown first
+    fixed: str | os.PathLike[str] | None = None  # a volume that another one is registered to, on whose grid it is seen
+    fixed_points: str | os.PathLike[str] | None = None  # landmarks of that
+    segmentation: str | os.PathLike[str] | None = None  # labels over a volume, which move with it
+    label_colours: str | os.PathLike[str] | None = None  # a table of their names and colours, or of a label map's own
 
     def __post_init__(self) -> None:
         length("time_scale", self.time_scale)
         if any(placed.after for placed in self.maps):
             raise SuppleError("in the window, strokes come after fields and affine maps: give these first")
+        if self.fixed_points is not None and self.fixed is None:
+            raise SuppleError(f"{argument('fixed_points')} are those of a fixed volume, and there is none: name it")
 
     @property
     def export(self) -> dict[str, Any]:
         """The arguments of `supple.warp_file` for the same image as on screen."""
         # Strokes are indices here, whatever the space of the first ones.
         known: dict[str, Any] = {"volume": replace(self.volume, world=False)}
-        return {**known, "maps": self.maps} if self.maps else known
+        known |= {"maps": self.maps} if self.maps else {}
+        return known if self.fixed is None else {**known, "grid": GridOptions(self.fixed, strokes=True)}
 
     def mapped(self, grid: Grid) -> Deformation | None:
         """Return the fields and affine maps on a grid; None if there are none."""
@@ -99,15 +107,7 @@ def stage_of(gpu: Gpu, source: Source, options: ViewOptions = _USUAL) -> ImageSt
         name = shown(source)
         if Job(source, "", Recipe(), volume=options.volume, maps=options.maps).medium.kind == "volume":
             _suits(name, options, volume=True)
-            volume = open_volume(source, options.volume)
-            check_upright(volume.geometry, volume.name, "the window")
-            volume = _mapped(volume, options)
-            samples = volume.rescaled()
-            if volume.series:
-                samples = samples[0]
-            elif samples.ndim > 3:
-                raise SuppleError(f"{volume.name} has {samples.shape[3]} components, and pictures are of one")
-            return VolumeStage(gpu, volume, default_transfer(volume), samples)
+            return volume_stage(gpu, source, options)
         moves = _moves(source)
         _suits(name, options, moves=moves)
         if moves:
@@ -138,18 +138,6 @@ def stage_of(gpu: Gpu, source: Source, options: ViewOptions = _USUAL) -> ImageSt
         raise SuppleError(f"{name} cannot be shown: {error}") from None
 
 
-def _mapped(volume: Volume, options: ViewOptions) -> Volume:
-    """Return a volume as it is seen through fields and affine maps; of a series, the first one."""
-    through = options.mapped(volume.grid)
-    if through is None:
-        return volume
-    labels = options.volume.labels or volume.is_segmentation or is_of_labels(volume)
-    fill = volume.stored(background_of(volume, labels=labels))
-    first = volume.samples[0] if volume.series else volume.samples
-    made = through.warp(first, filter="nearest" if labels else "linear", outside="constant", fill=fill)
-    return replace(volume, samples=made[None] if volume.series else made)
-
-
 def _moves(source: str | os.PathLike[str]) -> bool:
     """Return whether a file, a folder or a pattern is a clip; a GIF is one if it has several frames."""
     if Path(source).suffix.lower() == ".gif" and os.path.isfile(source):
@@ -162,6 +150,9 @@ def _suits(name: str, options: ViewOptions, *, moves: bool = False, volume: bool
     """Raise SuppleError for a time scale without time, and for options of volume files without one."""
     if options.volume != _PLAIN and not volume:
         raise SuppleError(f"{name} is no file of a volume, and what was asked of it is for those: leave that out")
+    given = next((each for each in OPTIONS if getattr(options, each) is not None), None)
+    if given is not None and not volume:
+        raise SuppleError(f"{argument(given)} is for files of volumes, and {name} is none: leave it out")
     if options.time_scale != 1.0 and not moves:
         raise SuppleError(f"{argument('time_scale')} is for clips, and {name} is none: leave it out")
 
@@ -185,6 +176,7 @@ def tools_of(stage: ImageStage | VolumeStage, document: Document, size: Pair) ->
         lambda pick, to: stage.on_canvas(document.deformation).drag(placed(), tools.stage.size, pick, to),
         first_window(stage.volume, stage.unit),
         stage.scene.seen_points,
+        comparison_of(stage),
     )
     return tools
 
@@ -225,14 +217,12 @@ def opened(
 
 def _landmarks(stage: ImageStage | VolumeStage, options: ViewOptions) -> Landmarks | None:
     if options.points is None:
-        if options.convention is not None:
+        if options.convention is not None and options.fixed_points is None:
             raise SuppleError("the convention is that of points, and there are none: give a file of them")
-        return None
+        return landmarks_of(stage, options) if isinstance(stage, VolumeStage) else None
     if not isinstance(stage, VolumeStage):
         raise SuppleError(f"points are shown in volumes, and {stage.name} is none: leave them out")
-    names, places = read_landmarks(options.points, stage.volume.geometry, convention=options.convention)
-    through = options.mapped(stage.volume.grid)
-    return Landmarks(names, places if through is None else through.forward(places))
+    return landmarks_of(stage, options)
 
 
 def _gpu() -> Gpu:
@@ -319,6 +309,7 @@ def view(
     points: str | os.PathLike[str] | None = None,
     convention: str | None = None,
     maps: Sequence[Placed] = (),
+    **more: Any,
 ) -> Window:
     """Warp a photograph, a clip or a volume by hand.
 
@@ -342,6 +333,8 @@ def view(
         The coordinates of a table of them that does not name its own: ``"LPS"``, ``"RAS"`` or ``"index"``.
     maps : sequence of Placed, optional
         Fields and affine maps, as in `supple.warp_file`, through which the file is seen; strokes come after them.
+    **more
+        ``fixed``, ``fixed_points``, ``segmentation``, ``label_colours``: files, as of ``supple view``, for volumes.
 
     Returns
     -------
@@ -353,7 +346,9 @@ def view(
     SuppleError
         If the source or the recipe does not fit, there is no GPU, or a part of the window is not installed.
     """
-    options = ViewOptions(spacing, time_scale, volume or _PLAIN, points=points, convention=convention, maps=tuple(maps))
+    options = ViewOptions(
+        spacing, time_scale, volume or _PLAIN, points=points, convention=convention, maps=tuple(maps), **more
+    )
     if not in_notebook():
         return show(source, recipe, options=options)
     with _installed():

@@ -1,0 +1,104 @@
+"""Landmarks of a volume, where strokes move them, and where a fixed volume has the same points."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from supple.deformation import Deformation
+from supple.errors import SuppleError
+from supple.space.geometry import Floats
+from supple.strokes import Stroke
+
+_NOWHERE = (np.nan,) * 3
+
+
+class Landmarks:
+    """Named points of a volume before strokes, and of a fixed one: float64 voxels (N, 3), x first; NaN without one.
+
+    Where a point has both, it is a pair, whose residual is the distance from where strokes move it to the fixed one.
+    """
+
+    def __init__(self, names: Sequence[str], points: Floats, fixed: Floats | None = None) -> None:
+        self.names, self.points = tuple(names), np.asarray(points, np.float64)
+        self.fixed = np.full(self.points.shape, np.nan) if fixed is None else np.asarray(fixed, np.float64)
+        self.open: int | None = None  # the one of which a point is still to be clicked
+        self._moved: tuple[Deformation, Floats, Floats] | None = None
+
+    @classmethod
+    def paired(cls, names: Sequence[str], points: Floats, others: Sequence[str], fixed: Floats) -> Landmarks:
+        """Return the landmarks of two files: matched by their names, or in order if these differ or occur twice."""
+        order = list(others)
+        if not set(names) & set(others) or len(set(names)) < len(names) or len(set(order)) < len(order):
+            if len(names) != len(others):
+                what = f"{len(names)} and {len(others)} landmarks, whose names do not match: give as many of both"
+                raise SuppleError(f"the files have {what}, in order")
+            return cls(names, points, fixed)
+        known = [*names, *(name for name in others if name not in names)]
+        both = (dict(zip(names, points.tolist(), strict=True)), dict(zip(others, fixed.tolist(), strict=True)))
+        return cls(known, *(np.array([each.get(name, _NOWHERE) for name in known]).reshape(-1, 3) for each in both))
+
+    @property
+    def pairs(self) -> list[int]:
+        """The indices of those with both points."""
+        return np.flatnonzero(np.isfinite(self.points).all(1) & np.isfinite(self.fixed).all(1)).tolist()
+
+    def moved(self, deformation: Deformation) -> Floats:
+        """Return where the points are after strokes, (N, 3); the last answer is cached."""
+        if deformation.is_identity:
+            return self.points
+        if self._moved is None or self._moved[0] is not deformation or self._moved[1] is not self.points:
+            made, known = self.points.copy(), np.isfinite(self.points).all(1)
+            made[known] = deformation.forward(made[known])
+            self._moved = deformation, self.points, made
+        return self._moved[2]
+
+    def residuals(self, deformation: Deformation) -> Floats:
+        """Return the residual of each landmark after strokes, in millimetres, (N,); NaN where it is no pair."""
+        away = (self.moved(deformation) - self.fixed) * deformation.domain.spacing
+        return np.asarray(np.linalg.norm(away, axis=1))
+
+    def click(self, point: tuple[float, ...], deformation: Deformation, fixed: bool | None) -> bool:
+        """Set a point of the pair that is open, or of a new one, as it is seen; return whether the pair is whole.
+
+        With ``fixed`` None, both volumes are seen in one picture: the first point is that of the bent one.
+        """
+        if self.open is None:
+            self.open, number = len(self.names), len(self.names) + 1
+            while str(number) in self.names:
+                number += 1
+            self.names = (*self.names, str(number))
+            self.points, self.fixed = (np.vstack([each, _NOWHERE]) for each in (self.points, self.fixed))
+        i = self.open
+        ours = not fixed if fixed is not None else not np.isfinite(self.points[i]).all()
+        values = (self.points if ours else self.fixed).copy()
+        values[i] = deformation.inverse(point).points if ours else point
+        self.points, self.fixed = (values, self.fixed) if ours else (self.points, values)
+        whole = i in self.pairs
+        self.open = None if whole else i
+        return whole
+
+    def drop(self) -> None:
+        """Remove the landmark that is open."""
+        if self.open is not None:
+            self.remove(self.open)
+
+    def remove(self, i: int) -> None:
+        """Remove a landmark."""
+        self.names = self.names[:i] + self.names[i + 1 :]
+        self.points, self.fixed = (np.delete(each, i, axis=0) for each in (self.points, self.fixed))
+        self.open = None
+
+    def pull(self, deformation: Deformation, brush: Stroke) -> Stroke:
+        """Return the stroke that brings the points of all pairs from where they are seen to the fixed ones.
+
+        Those that are there already are pins; all else, as the radius, is that of ``brush``.
+        """
+        pairs = self.pairs
+        if not pairs:
+            raise SuppleError("no landmark has a point in both volumes: click it in both, or open files of points")
+        start, end = self.moved(deformation)[pairs], self.fixed[pairs]
+        made = Stroke.pull(start.tolist(), to=end.tolist(), radius=brush.radius, poisson=brush.poisson)
+        return replace(made, reach=brush.reach)

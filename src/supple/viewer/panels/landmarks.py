@@ -1,0 +1,138 @@
+"""Landmarks over the views of a volume: where they are, how deep, and how far from those of a fixed one."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from imgui_bundle import imgui
+
+from supple.viewer.panels import theme
+from supple.viewer.panels.view import View
+from supple.viewer.tools.drawing import Pair, Place
+from supple.viewer.tools.planes import FIXED, RENDERED, Pane
+from supple.viewer.tools.volumes import VolumeTools
+
+Write = Callable[..., None]
+Box = tuple[float, float, float, float]
+BENT, OTHER = 0xFFF0D060, 0xFF70E070
+"""The colours of landmarks of the bent volume, and of the fixed one."""
+_NEARBY = 5.0  # millimetres from a plane in which one is seen, faint
+_BURIED = 2.0  # and behind the surface of a rendering, from which on it is said
+_BESIDE = 8.0  # logical pixels from a landmark to its name
+_ROWS = 12  # in which a name is looked for room, above and below
+
+
+def draw(
+    view: View,
+    lines: imgui.ImDrawList,
+    seen: Callable[[tuple[float, ...]], Pair | None],
+    write: Write,
+    pane: Pane | None = None,
+    k: int = 0,
+) -> None:
+    """Draw the landmarks of a view by its number: of a plane those in it, and faint ones that are near.
+
+    Lines lead from where strokes took them and, where a fixed volume is in the same picture, on to its points.
+    """
+    marks, tools, document = view.landmarks, view.tools, view.document
+    if marks is None or not isinstance(tools, VolumeTools):
+        return
+    taken: list[Box] = []
+    entries: list[tuple[str, Pair, int, float, float]] = []
+    both = tools.comparison is not None and not tools.comparison.beside and pane is not None
+    after = marks.moved(document.base if tools.original else document.deformation)
+    for name, old, new, other in zip(
+        marks.names, marks.points.tolist(), after.tolist(), marks.fixed.tolist(), strict=True
+    ):
+        ours = k < FIXED and math.isfinite(new[0])
+        theirs = (k >= FIXED or both) and math.isfinite(other[0])
+        if ours and (away := _away(new, pane)) is not None and (at := seen(tuple(new))) is not None:
+            start = seen(tuple(old))
+            if start is not None and math.dist(start, at) > 1.0:
+                _way(lines, start, at, BENT)
+            if theirs and (end := seen(tuple(other))) is not None and math.dist(at, end) > 1.0:
+                _way(lines, end, at, OTHER)
+            deep = 0.0 if pane is not None else _depth(tools, at, tuple(new))
+            entries.append((name, at, BENT, away, deep))
+        if theirs and (away := _away(other, pane)) is not None and (at := seen(tuple(other))) is not None:
+            entries.append(("" if ours else name, at, OTHER, away, 0.0))
+    taken += [(x - 5, y - 5, x + 5, y + 5) for _, (x, y), _, away, _ in entries if away <= 0.5]
+    for name, at, colour, away, deep in entries:
+        faint, corners = colour & 0x90FFFFFF, _corners(at)
+        if away > 0.5 or not deep <= _BURIED:
+            lines.add_polyline([*corners, corners[0]], faint, 1.5, 0)
+        else:
+            lines.add_convex_poly_filled(corners, colour)
+            lines.add_polyline([*corners, corners[0]], theme.DARK, 1.5, 0)
+        if away <= 0.5 and name:
+            said = f"{name}  {deep:.0f} mm deep" if deep > _BURIED else name
+            size = imgui.calc_text_size(said)
+            x, y, far = _room(taken, at, size.x, size.y, tools.places[k if pane is not None else RENDERED])
+            taken.append((x, y, x + size.x, y + size.y))
+            if far:
+                lines.add_line(at, (x if x > at[0] else x + size.x, y + 0.5 * size.y), faint, 1.0)
+            write(lines, (x, y), said, colour)
+
+
+def _away(point: list[float], pane: Pane | None) -> float | None:
+    """Return how far a point lies from a plane, in voxels; None where it is too far to be seen."""
+    if pane is None:
+        return 0.0
+    away = abs(pane.away(tuple(point)))
+    return None if away > 0.5 and away * pane.spacing[pane.plane.axis] > _NEARBY else away
+
+
+def _depth(tools: VolumeTools, at: Pair, point: tuple[float, ...]) -> float:
+    """Return how far a point lies behind the surface that is rendered there, in millimetres; 0 in front of it.
+
+    NaN while a button is down, as rays take too long then.
+    """
+    if tools.busy:
+        return math.nan
+    surface = tools.surface(at)
+    if surface is None:
+        return 0.0
+    near, far = (tools.stage.project(tools.view, each) for each in (surface, point))
+    return 0.0 if near is None or far is None else max(far[2] - near[2], 0.0)
+
+
+def _way(lines: imgui.ImDrawList, start: Pair, end: Pair, colour: int) -> None:
+    lines.add_line(start, end, theme.DARK, 3.0)
+    lines.add_line(start, end, colour & 0x90FFFFFF, 1.0)
+    lines.add_circle(start, 2.5, colour & 0x90FFFFFF, 0, 1.0)
+
+
+def _corners(at: Pair) -> list[Any]:
+    return [imgui.ImVec2(at[0] + a, at[1] + b) for a, b in ((0, -5), (5, 0), (0, 5), (-5, 0))]
+
+
+def _room(taken: list[Box], at: Pair, wide: float, high: float, place: Place) -> tuple[float, float, bool]:
+    """Return the upper left corner of a name where no other lies, near its landmark, and whether it is farther away.
+
+    It is within the view, if there is room.
+    """
+    ends = place[0] + place[2], place[1] + place[3]
+    (x, y), right, left = at, at[0] + _BESIDE, at[0] - _BESIDE - wide
+    near = [
+        (right, y - high / 2),
+        (left, y - high / 2),
+        (x - wide / 2, y - _BESIDE - high),
+        (x - wide / 2, y + _BESIDE),
+    ]
+    steps = (sign * row for row in range(1, _ROWS) for sign in (-1, 1))
+    far = [(side, y - high / 2 + step * high) for step in steps for side in (right + _BESIDE, left - _BESIDE)]
+    for k, (a, b) in enumerate([*near, *far]):
+        a = max(min(a, ends[0] - wide), place[0]) if k >= len(near) else a
+        box = (a, b, a + wide, b + high)
+        others = np.array(taken).reshape(-1, 4)
+        apart = (
+            (others[:, 0] >= box[2]) | (others[:, 2] <= box[0]) | (others[:, 1] >= box[3]) | (others[:, 3] <= box[1])
+        )
+        own = (np.abs(others[:, :2] + 5 - at) < 0.5).all(axis=1) & (k >= len(near))  # a line leads from there
+        within = place[0] <= box[0] and place[1] <= box[1] and box[2] <= ends[0] and box[3] <= ends[1]
+        if within and (apart | own).all():
+            return a, b, k >= len(near)
+    return right, y - high / 2, False

@@ -1,0 +1,162 @@
+"""The panel of a volume beside a fixed one: how both are compared, labels over them, and pairs of landmarks."""
+
+from __future__ import annotations
+
+from functools import partial
+
+import numpy as np
+from imgui_bundle import imgui
+
+from supple.viewer.document.landmarks import Landmarks
+from supple.viewer.panels import theme
+from supple.viewer.panels.layers import Segmentation
+from supple.viewer.panels.theme import CROSS, HIDDEN, SEEN
+from supple.viewer.panels.view import View
+from supple.viewer.panels.widgets import REST, hint, icon_button, label, listing, section, slider, toggle, wrapped
+from supple.viewer.tools.comparing import MODES, SHARES, Comparison
+from supple.viewer.tools.volumes import VolumeTools
+
+_MOST = 8  # rows of a list
+_AXES = "Planes through the crosshair along the axes of the patient, or along the voxels, which are oblique"
+
+
+def draw(view: View) -> None:
+    """Draw the sections that there is something for."""
+    tools = view.tools
+    if not isinstance(tools, VolumeTools) or view.slices is None:
+        return
+    if tools.geometry.oblique and tools.geometry.convention != "array":
+        label("Planes", _AXES)
+        changed, on = imgui.checkbox("along the patient's axes", tools.upright is not None)
+        hint(_AXES)
+        if changed:
+            tools.reformat(on)
+            view.refresh()
+    if tools.comparison is not None:
+        _comparison(view, tools, tools.comparison)
+    if view.slices.segmentation is not None:
+        _labels(view, view.slices.segmentation)
+    if tools.comparison is not None and view.landmarks is not None:
+        _landmarks(view, tools, view.landmarks)
+
+
+def _comparison(view: View, tools: VolumeTools, known: Comparison) -> None:
+    if not section(view, "Compare"):
+        return
+    label("Fixed", f"{MODES[known.mode]}. X goes on to the next way")
+    modes = list(MODES)
+    changed, index = imgui.combo("##compare", modes.index(known.mode), modes)
+    hint(MODES[known.mode])
+    if changed:
+        tools.compare(modes[index])
+        view.refresh()
+    if known.mode in SHARES:
+        said, tip, low, high, form = SHARES[known.mode]
+        label(said, tip)
+        changed, value = slider("##share", known.shares[known.mode], low, high, form)
+        if changed:
+            known.shares[known.mode] = min(max(value, low), high)
+            view.refresh()
+
+
+def _labels(view: View, known: Segmentation) -> None:
+    if not section(view, "Labels", f"Labels ({len(known.labels)})"):
+        return
+    label("Opacity", "Of labels over the planes; 0 for none")
+    changed, value = slider("##labels", 100 * known.opacity, 0.0, 100.0, "%.0f %%")
+    if changed:
+        known.opacity = min(max(value / 100, 0.0), 1.0)
+        view.refresh()
+    row = imgui.get_frame_height_with_spacing()
+    listing("labels", len(known.labels), _MOST, row)
+    clipper = imgui.ListClipper()
+    clipper.begin(len(known.labels), row)
+    while clipper.step():
+        for i in range(clipper.display_start, clipper.display_end):
+            _label(view, known, i)
+    imgui.end_child()
+
+
+def _label(view: View, known: Segmentation, i: int) -> None:
+    number, size = known.labels[i], imgui.get_frame_height()
+    hidden = number in known.hidden
+    imgui.push_id(i)
+    if icon_button("seen", HIDDEN if hidden else SEEN, size):
+        known.hidden ^= {number}
+        view.refresh()
+    hint("Hidden: click to show it" if hidden else "Seen: click to hide it")
+    imgui.same_line()
+    red, green, blue = known.shades[i][:3].tolist()
+    imgui.color_button("##colour", (red, green, blue, 1.0), imgui.ColorEditFlags_.no_tooltip, (size, size))
+    imgui.same_line()
+    imgui.align_text_to_frame_padding()
+    imgui.text(f"{number}  {known.names.get(number, '')}".rstrip())
+    imgui.pop_id()
+
+
+def _landmarks(view: View, tools: VolumeTools, marks: Landmarks) -> None:
+    if not section(view, "Landmarks", f"Landmarks ({len(marks.names)})" if marks.names else "Landmarks"):
+        return
+    document = view.document
+    if toggle("Set a pair (L)", tools.marking, REST):
+        tools.press("l")
+    hint(
+        "Click a point in the bent volume, and the same point in the fixed one: in their planes, or one after the other"
+    )
+    residuals, before = marks.residuals(document.deformation), marks.residuals(document.base)
+    pairs = marks.pairs
+    if pairs:
+        now, then = residuals[pairs], before[pairs]
+        wrapped(f"Residuals: mean {now.mean():.2f} mm, largest {now.max():.2f} mm; before strokes {then.mean():.2f} mm")
+    if marks.names:
+        _list(view, tools, marks, residuals, before)
+    imgui.begin_disabled(not pairs)
+    if imgui.button("Pull them together", (REST, 0)):
+        view.attempt(partial(_pull, view, tools, marks))
+    imgui.end_disabled()
+    hint("One stroke with the radius of the brush, by which each point ends at the fixed one")
+
+
+def _list(view: View, tools: VolumeTools, marks: Landmarks, residuals: np.ndarray, before: np.ndarray) -> None:
+    size, row = imgui.get_frame_height(), imgui.get_frame_height_with_spacing()
+    listing("landmarks", len(marks.names), _MOST, row)
+    gone: int | None = None
+    for i, name in enumerate(marks.names):
+        imgui.push_id(i)
+        if icon_button("remove", CROSS, size):
+            gone = i
+        hint("Remove it")
+        imgui.same_line()
+        whole = bool(np.isfinite(residuals[i]))
+        imgui.push_style_color(imgui.Col_.text, theme.TEXT if whole else theme.FAINT)
+        said = f"{residuals[i]:.2f} mm" if whole else "one point"
+        at = imgui.get_content_region_avail().x - imgui.calc_text_size(said).x
+        imgui.push_style_var(imgui.StyleVar_.selectable_text_align, (0.0, 0.5))
+        chosen = imgui.selectable(f"{name}##landmark", False, size=(max(at - 8, 20), size))[0]
+        imgui.pop_style_var()
+        if chosen:
+            where = marks.moved(view.document.deformation)[i]
+            tools.sight = tools.sight.at(tuple(where if np.isfinite(where[0]) else marks.fixed[i]), tools.sizes)
+            view.refresh()
+        hint(f"{before[i]:.2f} mm before strokes; click to go there" if whole else "Click to go there")
+        imgui.same_line()
+        imgui.align_text_to_frame_padding()
+        imgui.text(said)
+        imgui.pop_style_color()
+        imgui.pop_id()
+    imgui.end_child()
+    if gone is not None:
+        marks.remove(gone)
+
+
+def _pull(view: View, tools: VolumeTools, marks: Landmarks) -> None:
+    """Pull the points of all pairs to the fixed ones, as one stroke."""
+    document = view.document
+    stroke = marks.pull(document.deformation, tools.next_stroke)
+    document.begin_drag()
+    if document.preview(stroke):
+        document.commit()
+        return
+    trouble = document.trouble
+    document.abandon()
+    view.commands.message = trouble or ""

@@ -1,0 +1,68 @@
+"""How a bent volume is compared with a fixed one, in the planes of both."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+
+Pixels = npt.NDArray[np.uint8]
+
+MODES = {
+    "beside": "The planes of both, one below the other; the crosshair and the pointer are in both",
+    "blend": "The mean of both: at 0, the bent volume alone, at 100 % the fixed one",
+    "colours": "The bent volume is magenta, and the fixed one green: grey where both are as bright",
+    "checkerboard": "Squares of both in turn",
+    "difference": "Grey where both are as bright; brighter where the bent volume is, darker where the fixed one is",
+}
+"""The ways to compare, and what they show."""
+SHARES = {
+    "blend": ("Share", "How much of the fixed volume is seen", 0.0, 100.0, "%.0f %%"),
+    "checkerboard": ("Squares", "The side of a square", 2.0, 100.0, "%.0f mm"),
+    "difference": ("Contrast", "What a difference is multiplied by", 0.5, 8.0, "\u00d7 %.1f"),
+}
+"""What each of them can set: its name, what it is, its least and its largest value, and its form."""
+
+
+@dataclass(slots=True)
+class Comparison:
+    """How two volumes are compared."""
+
+    window: tuple[float, float]  # the values of the fixed one that are black and white
+    mode: str = "beside"  # one of `MODES`
+    shares: dict[str, float] = field(  # those of `SHARES`
+        default_factory=lambda: {"blend": 50.0, "checkerboard": 20.0, "difference": 1.0}
+    )
+
+    @property
+    def beside(self) -> bool:
+        """Whether both have planes of their own."""
+        return self.mode == "beside"
+
+    @property
+    def look(self) -> tuple[object, ...]:
+        """All that a picture of both depends on."""
+        return self.window, self.mode, self.shares.get(self.mode)
+
+    def turn(self) -> None:
+        """Go on to the next mode."""
+        modes = list(MODES)
+        self.mode = modes[(modes.index(self.mode) + 1) % len(modes)]
+
+    def compared(self, bent: Pixels, fixed: Pixels, spacing: tuple[float, float]) -> Pixels:
+        """Return one picture of the planes of both, (rows, columns, 4), whose pixels are so many mm high and wide."""
+        if self.mode == "beside":
+            return bent
+        share, made = self.shares.get(self.mode, 0.0), bent.copy()
+        one, other = (each[..., :3].astype(np.float32) for each in (bent, fixed))
+        if self.mode == "blend":
+            made[..., :3] = np.rint(one + (other - one) * (share / 100))
+        elif self.mode == "colours":
+            made[..., 1] = fixed[..., 1]
+        elif self.mode == "checkerboard":
+            row, column = ((np.arange(n) * step // share) % 2 for n, step in zip(bent.shape, spacing, strict=False))
+            made = np.where((row[:, None] != column)[..., None], fixed, bent)
+        else:
+            made[..., :3] = np.rint(np.clip(127.5 + 0.5 * share * (one - other), 0, 255))
+        return made
