@@ -106,8 +106,8 @@ def warp(
     ----------
     paths
         Files to read, and last the file or folder to write. The suffix of OUT is its format: PNG, JPEG, TIFF,
-        WebP, AVIF, OpenEXR, DPX and others; MP4, MOV, MKV, WebM, AVI, GIF; NIfTI, NRRD, MHA; Zarr, of pictures and
-        volumes. A dash, -, is standard input or output, in the input's format.
+        WebP, AVIF, OpenEXR, DPX and others; MP4, MOV, MKV, WebM, AVI, GIF, APNG, WebP; NIfTI, NRRD, MHA; Zarr, of
+        pictures and volumes. A dash, -, is standard input or output, in the input's format.
     linear_light
         Average in linear light instead of sRGB values, so that fine detail does not darken.
     clamp
@@ -304,7 +304,7 @@ def _as_clip(paths: tuple[str, ...], recipe: "Recipe") -> tuple[str, ...]:
     """Return ``f.*.exr`` as the pattern of a clip, if it is to become one; refuse pictures for strokes with a time."""
     from supple.media.image.formats import SUFFIXES
     from supple.media.numbering import has_number, of_star
-    from supple.media.suffixes import CLIPS_OUT
+    from supple.media.suffixes import ANIMATED, CLIPS_OUT
 
     source, target = paths[0], paths[-1]
     timed = recipe.moves or (bool(recipe.strokes) and recipe.strokes[0].ndim == 3)
@@ -313,7 +313,7 @@ def _as_clip(paths: tuple[str, ...], recipe: "Recipe") -> tuple[str, ...]:
     folder, name = os.path.split(source)
     star = not glob.has_magic(name.replace("*", "", 1)) and "*" in name and not glob.has_magic(folder)
     if len(paths) == 2 and star and not os.path.exists(source):
-        many = has_number(target) or "*" in os.path.basename(target) or target.lower().endswith(CLIPS_OUT)
+        many = has_number(target) or "*" in os.path.basename(target) or target.lower().endswith(CLIPS_OUT + ANIMATED)
         if (timed or many) and (pattern := of_star(source)) is not None:
             number = re.sub("d.*", "d", os.path.basename(pattern)[name.index("*") :])
             return pattern, target.replace("*", number)

@@ -33,7 +33,7 @@ from supple.media.image.formats import SUFFIXES as SUFFIXES_IN
 from supple.media.image.formats import SUFFIXES_OUT as PICTURES_OUT
 from supple.media.medium import VIDEOS_OUT, is_animated
 from supple.media.numbering import has_number, is_sequence
-from supple.media.suffixes import suffix_of
+from supple.media.suffixes import ANIMATED, is_animation, suffix_of
 from supple.media.timecode import Numbering
 from supple.space.checks import LONGEST_AXIS, integer, items, length, number, refuse
 from supple.space.domain import AUTO, Domain
@@ -230,11 +230,12 @@ def check(job: Job) -> None:
         return
     if not os.fspath(target):
         raise SuppleError("cannot write '': no file can have that name: choose another")
-    if not is_picture_target(target):
+    if not is_picture_target(target) and not is_animation(target, job.source):
         if suffix_of(target) in PICTURES_OUT:
             stem, suffix = os.path.splitext(name)
             raise SuppleError(
-                f"{name} is one picture, and a clip is many: name a pattern, such as {stem}-%05d{suffix}, or a folder"
+                f"{name} is one picture, and a clip is many: name an animated one ({' or '.join(ANIMATED)}), a "
+                f"pattern, such as {stem}-%05d{suffix}, or a folder"
             )
         if job.quality is not None:
             raise SuppleError(f"{argument('quality')} is for pictures, and {name} is a video: give a crf")
@@ -245,6 +246,8 @@ def check(job: Job) -> None:
         return
     if has_number(target):
         check_target(target)
+    elif not is_picture_target(target):
+        check_output(target, force=job.force)
     refuse_encoding(job.clip, target, "pictures")
     check_quality(target, job.quality)
 
@@ -280,6 +283,10 @@ def _writer(clip: Any, job: Job) -> contextlib.AbstractContextManager[Any]:
 
         known, first = job.clip, 1 if job.clip.first_frame is None else job.clip.first_frame
         return sequence.writer(clip, job.target, quality=job.quality, only=known.frame, first=first, **shared)
+    if is_animation(job.target, job.source):
+        from supple.media import animation
+
+        return animation.writer(clip, job.target, quality=job.quality, **shared)
     from supple.media.video.encode import writer
 
     known = job.clip

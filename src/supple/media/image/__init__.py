@@ -282,7 +282,7 @@ def _all_pages(path: PathLike, count: int) -> formats.Array | None:
 def _pages(form: str) -> str:
     """Return advice on a file of several pages or frames, of which one is read."""
     if form in ("PNG", "GIF", "WebP"):
-        return "frames, and only the first is read: name a video or a GIF, out.mp4 or out.gif, to keep them all"
+        return "frames, and only the first is read: name an animation or a video, out.webp or out.mp4, to keep them all"
     if form == "TIFF":
         return "pages, and only one is read: all are kept if they are of one size and type, and the output is a TIFF"
     return "pages or frames, and only one of them is read"

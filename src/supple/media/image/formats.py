@@ -46,7 +46,7 @@ _PGM, _PPM = {"u1": {1: "gray"}, "u2": {1: "gray16be"}}, {"u1": {3: "rgb24"}, "u
 _PNM = {
     rb"P[14]\s": "pbm", rb"P[25]\s": "pgm", rb"P[36]\s": "ppm", rb"P7\s": "pam", rb"P[Ff]\s": "pfm", rb"P[Hh]\s": "phm"
 }
-PNG = Format("PNG", (".png",), ("png",), saver="pngsave", limit=10**7, bits=16,
+PNG = Format("PNG", (".png", ".apng"), ("png",), saver="pngsave", limit=10**7, bits=16,
              options={"compression": 6, "filter": "paeth"})
 JPEG = Format("JPEG", (".jpg", ".jpeg"), ("jpeg", "uhdr"), saver="jpegsave", limit=65_500, alpha=False, cmyk=True,
               quality=95, options={"subsample_mode": "off"})
