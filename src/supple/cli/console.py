@@ -30,8 +30,8 @@ PIPE_CLOSED = 141  # 128 + SIGPIPE, which Windows does not name
 
 # Arguments of the library that are options of the command.
 _NAMES = (
-    "annotate between border border_profile clamp clip codec convention crf crop density device distance elevation "
-    "error field_of_view fill filter first_frame fit flat force frame frames freeze freeze_width from hold "
+    "annotate between border border_profile clamp clip codec compression convention crf crop density device distance "
+    "elevation error field_of_view fill filter first_frame fit flat force frame frames freeze freeze_width from hold "
     "keystone labels linear_light lossless map memory mode on_fold outside pixel_format poisson preset "
     "quality radius reach refer_to reference resample roll rotate save_field scale_to scales scheduler series "
     "shape shear size source spacing status step strength target time time_filter time_radius time_scale to "

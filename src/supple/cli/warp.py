@@ -79,6 +79,8 @@ def warp(
     clamp: Annotated[bool | None, Parameter(group=SAMPLING, negative="--no-clamp")] = None,
     quality: Annotated[int | None, Parameter(group=WRITING, metavar="1..100", allow_leading_hyphen=True)] = None,
     lossless: Annotated[bool, Parameter(group=WRITING)] = False,
+    compression: Annotated[str | None, Parameter(group=WRITING, metavar="HOW")] = None,
+    fast: Annotated[bool, Parameter(group=WRITING)] = False,
     save_recipe: Annotated[str | None, Parameter(group=WRITING, metavar="FILE")] = None,
     frames: Annotated[str | None, Parameter(group=VIDEO, metavar="A-B", allow_leading_hyphen=True)] = None,
     frame: Annotated[str | None, Parameter(group=VIDEO, metavar="K", allow_leading_hyphen=True)] = None,
@@ -114,9 +116,14 @@ def warp(
         Keep values within the range of the input, which cubic filters leave beside sharp edges (default for volumes
         and pictures of floats).
     quality
-        Quality of JPEG (default 95), WebP and AVIF (90), from 1 to 100.
+        Quality of JPEG (default that of the input, or 95), WebP and AVIF (90), from 1 to 100.
     lossless
         Write WebP and AVIF without loss, and videos with FFV1 or --codec. PNG and TIFF are always lossless.
+    compression
+        How TIFF and PNG are compressed: none, deflate, lzw or packbits (TIFF), or a level of deflate, 0 to 9. A TIFF
+        keeps its own.
+    fast
+        Write lossless pictures as fast as their format allows; they are larger.
     save_recipe
         Write the strokes to a recipe (JSON), for --recipe.
     frames
@@ -178,8 +185,10 @@ def warp(
     known, outside = sampling.to_sampling(elsewhere, linear_light)
     template = Job(
         paths[0], paths[-1], recipe, known, outside, clamp, quality, lossless, device, options.force, shot,
-        reading, strokes.to_fit(), grid=grid,
+        reading, strokes.to_fit(), grid=grid, compression="fast" if fast else compression,
     )  # fmt: skip
+    if fast and compression is not None:
+        raise SuppleError("--fast is a compression, and so is what --compression names: give one of them")
     if options.json and paths[-1] == STREAM:
         raise SuppleError("--json and the picture cannot both go to standard output: leave --json out, or name a file")
     if not paths[-1]:

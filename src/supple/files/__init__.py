@@ -27,6 +27,7 @@ def warp_file(
     clamp: bool | None = None,
     quality: int | None = None,
     lossless: bool = False,
+    compression: str | None = None,
     device: str = "cpu",
     force: bool = False,
     progress: bool | Callable[[str], None] = False,
@@ -69,9 +70,11 @@ def warp_file(
     clamp : bool, optional
         Whether to clamp to the range of the source; by default, for volumes and images of floats.
     quality : int, optional
-        From 1 to 100, for JPEG, WebP and AVIF.
+        From 1 to 100, for JPEG, WebP and AVIF; by default that of a JPEG that stays one.
     lossless : bool
         Whether to write without loss, in WebP and AVIF too; a video with FFV1 or the named codec.
+    compression : str, optional
+        How pictures without loss are compressed, as in `supple.media.image.write`; ``"fast"`` is the fastest.
     device : str
         The device, as in `Deformation.warp`.
     force : bool
@@ -120,4 +123,5 @@ def warp_file(
     return Job(
         source, target, recipe, Sampling(filter, tolerance, outside or "edge", fill, linear_light), outside, clamp,
         quality, lossless, device, force, known, volume or VolumeOptions(), fit, maps, grid,
+        compression,
     ).warp(progress, tell)  # fmt: skip

@@ -28,7 +28,7 @@ from supple.files.options import ClipOptions, GridOptions, PathLike
 from supple.folding.resolved import warn_of_still
 from supple.media.base import Clip, ClipWarning, CountError
 from supple.media.files import check_output, replacing
-from supple.media.image import check_quality, check_target
+from supple.media.image import check_compression, check_quality, check_target
 from supple.media.image.formats import SUFFIXES as SUFFIXES_IN
 from supple.media.image.formats import SUFFIXES_OUT as PICTURES_OUT
 from supple.media.medium import VIDEOS_OUT, is_animated
@@ -226,6 +226,7 @@ def check(job: Job) -> None:
         check_target(target)
         refuse_encoding(job.clip, target, "a picture")
         check_quality(target, job.quality)
+        check_compression(target, job.compression)
         check_output(target, force=job.force)
         return
     if not os.fspath(target):
@@ -239,6 +240,8 @@ def check(job: Job) -> None:
             )
         if job.quality is not None:
             raise SuppleError(f"{argument('quality')} is for pictures, and {name} is a video: give a crf")
+        if job.compression is not None:
+            raise SuppleError(f"{argument('compression')} is for pictures, and {name} is a video: leave it out")
         from supple.media import video
 
         video.check_target(target)
@@ -250,6 +253,7 @@ def check(job: Job) -> None:
         check_output(target, force=job.force)
     refuse_encoding(job.clip, target, "pictures")
     check_quality(target, job.quality)
+    check_compression(target, job.compression)
 
 
 def _check_shot(options: ClipOptions) -> None:
@@ -282,11 +286,12 @@ def _writer(clip: Any, job: Job) -> contextlib.AbstractContextManager[Any]:
         from supple.media import sequence
 
         known, first = job.clip, 1 if job.clip.first_frame is None else job.clip.first_frame
+        shared["compression"] = job.compression
         return sequence.writer(clip, job.target, quality=job.quality, only=known.frame, first=first, **shared)
     if is_animation(job.target, job.source):
         from supple.media import animation
 
-        return animation.writer(clip, job.target, quality=job.quality, **shared)
+        return animation.writer(clip, job.target, quality=job.quality, compression=job.compression, **shared)
     from supple.media.video.encode import writer
 
     known = job.clip

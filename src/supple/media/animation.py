@@ -173,7 +173,13 @@ def _changed(pixels: Array, before: Array | None, step: int) -> Box:
 
 @contextlib.contextmanager
 def writer(
-    clip: Any, target: PathLike, *, force: bool = False, quality: int | None = None, lossless: bool = False
+    clip: Any,
+    target: PathLike,
+    *,
+    force: bool = False,
+    quality: int | None = None,
+    lossless: bool = False,
+    compression: str | None = None,
 ) -> Iterator[AnimationSink]:
     """Write a clip's frames as one animated picture, WebP or PNG by the suffix, which appears whole or not at all.
 
@@ -191,6 +197,12 @@ def writer(
         tempfile.TemporaryDirectory(prefix=".", dir=temporary.parent) as folder,
         open(temporary, "wb") as file,
     ):
-        sink = AnimationSink(clip, Path(target), Path(folder), file, {"quality": quality, "lossless": lossless})
+        sink = AnimationSink(
+            clip,
+            Path(target),
+            Path(folder),
+            file,
+            {"quality": quality, "lossless": lossless, "compression": compression},
+        )
         yield sink
         sink.finish()

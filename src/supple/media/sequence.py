@@ -383,6 +383,7 @@ def writer(
     force: bool = False,
     quality: int | None = None,
     lossless: bool = False,
+    compression: str | None = None,
     only: int | None = None,
     first: int = 1,
 ) -> Iterator[PictureSink]:
@@ -392,7 +393,7 @@ def writer(
     of 16 if it has more than 8 and they can be converted; and are turned upright. ``target`` is a pattern such as
     ``out/%05d.png``, or a folder, which is created if it is missing. Numbers, and names in a folder, are those of the
     source's images; a video's start at ``first``, 1 by default, and are ``%05d.png``. Unchanged frames of a sequence
-    are copies of its files, if these are of the same format. ``quality`` and ``lossless`` are as in
+    are copies of its files, if these are of the same format. ``quality``, ``lossless`` and ``compression`` are as in
     `supple.media.image.write`.
 
     SuppleError if an image exists already, the format cannot hold these pixels, or nothing can be written there.
@@ -407,7 +408,7 @@ def writer(
         folder, name = Path(text), _mirrored(clip, first)
     listed = [name(k) for k in (range(clip.count) if only is None else (only,))]
     check_outputs((folder / each for each in listed), force=force)
-    options = {"quality": quality, "lossless": lossless}
+    options = {"quality": quality, "lossless": lossless, "compression": compression}
     if clip.unpictured and only is None:
         text = f"{shown(folder)} gets pictures alone, without the {' and the '.join(clip.unpictured)} of {clip.name}"
         warnings.warn(text, ClipWarning, stacklevel=3)

@@ -87,6 +87,12 @@ SUFFIXES_OUT = tuple(OUT)
 SUFFIXES = frozenset(suffix for form in FORMATS for suffix in form.suffixes)
 LOADERS = {loader: form.name for form in FORMATS for loader in form.loaders}  # others read tables, and raw memory
 _VIPS = {np.dtype(dtype): name for name, dtype in DTYPES.items()}
+COMPRESSIONS = {
+    "PNG": ("none", "deflate", *map(str, range(10)), "fast"),
+    "TIFF": ("none", "deflate", "lzw", "packbits", *map(str, range(10)), "fast"),
+    **dict.fromkeys(("WebP", "AVIF"), ("fast",)),
+}
+"""For each format, how it may be compressed without loss."""
 COLOURS = {"b-w": 1, "grey16": 1, "cmyk": 4, "multiband": 0}  # all others have three
 
 
@@ -160,6 +166,22 @@ def settings(form: Format, array: Array, bits: int, quality: int | None, lossles
     if form is AVIF:
         chosen["bitdepth"] = bits
     return chosen
+
+
+def compressed(form: Format, array: Array, how: str | None, lossless: bool) -> dict[str, Any]:
+    """Return the settings of a saver for a compression that `COMPRESSIONS` names; none for None."""
+    if how is None:
+        return {}
+    if form in (WEBP, AVIF):
+        return {"effort": 0} if lossless else {}
+    if how == "fast":  # deflate's fastest level makes the noise of 16 bits larger than it was
+        how = "1" if array.dtype.itemsize == 1 else "none"
+    level = int(how) if how.isdigit() else 0 if how == "none" else 6
+    if form is PNG:
+        return {"compression": level, "filter": ("none", "sub")[level] if level < 2 else "paeth"}
+    if how.isdigit() and level:
+        return {"compression": "deflate", "level": level}
+    return {"compression": "none" if level == 0 else how}
 
 
 def divided(pixels: Array) -> Array:
