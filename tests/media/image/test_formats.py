@@ -176,7 +176,6 @@ def test_an_animation_is_a_clip(tmp_path: Path, suffix: str, target: str) -> Non
 @pytest.mark.parametrize(
     ("name", "head", "what"),
     [
-        ("in.heic", b"\0\0\0\x18ftypheic\0\0\0\0mif1heic", "it is HEIC, which is not supported here: convert it, to "),
         ("in.jxl", b"\0\0\0\x0cJXL \r\n\x87\n", "it is JPEG XL, which is not supported here: convert it, to "),
     ],
 )

@@ -60,6 +60,8 @@ AVIF = Format("AVIF", (".avif",), saver="heifsave", limit=16_384, bits=12, grey=
 EXR_MAGIC = b"v/1\x01"
 EXR = Format("OpenEXR", (".exr",), saver="exr", bits=32, pixel_formats={"f4": {**_REAL, 4: "gbrapf32le"}})
 DPX = Format("DPX", (".dpx",), (), {rb"SDPX|XPDS": "dpx"}, "dpx", bits=16, pixel_formats=_FULL)
+RAW = Format("camera raw", (".3fr", ".arw", ".cr2", ".cr3", ".dng", ".erf", ".mef", ".mos", ".mrw", ".nef", ".nrw",
+                            ".orf", ".pef", ".raf", ".rw2", ".srw", ".x3f"))
 FORMATS = (
     PNG, JPEG, TIFF, WEBP, AVIF, EXR, DPX,
     Format("SGI", (".sgi",), (), {rb"\x01\xda": "sgi"}, "sgi", bits=16, pixel_formats=_FULL),
@@ -76,6 +78,8 @@ FORMATS = (
     Format("GIF", (".gif",), ("gif",)),
     Format("HEIF", (".heic", ".heif"), ("heif",)),
     Format("JPEG XL", (".jxl",), ("jxl",)),
+    Format("PSD", (".psd", ".psb")),
+    RAW,
     Format("SVG", (".svg",), ("svg",)),
 )
 DTYPES = {"uchar": "u1", "char": "i1", "ushort": "u2", "short": "i2", "uint": "u4", "int": "i4", "float": "f4",
