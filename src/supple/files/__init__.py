@@ -52,8 +52,8 @@ def warp_file(
     ----------
     source : str or os.PathLike
         An image (PNG, JPEG, TIFF, WebP, AVIF, GIF, OpenEXR, DPX, SGI, Radiance, JPEG 2000, BMP, TGA, PNM; HEIC, PSD
-        and camera raw with the extra ``formats``); a video; a pattern such as ``frames/%05d.png``, or a folder of images; a volume in NIfTI, NRRD, MetaImage, a stack of TIFF
-        pages, ``.dat``, or a folder of DICOM slices.
+        and camera raw with the extra ``formats``); a video; a pattern such as ``frames/%05d.png``, or a folder of
+        images; a volume in NIfTI, NRRD, MetaImage, a stack of TIFF pages, ``.dat``, or a folder of DICOM slices.
     target : str or os.PathLike
         The output; its suffix determines the format: one of those of images, except GIF; for clips, MP4, MOV, MKV,
         WebM, AVI, GIF, WebP or APNG, or a pattern or a folder for images; for volumes, NIfTI, NRRD, MetaImage or TIFF;

@@ -424,6 +424,8 @@ def _filled(clip: Clip, fill: float | Sequence[float]) -> tuple[float, ...]:
     allowed = {1, full, 3} if paint and not grey else {1, full}
     if not np.isfinite(values).all():
         refuse("fill", f"finite for the frames of {clip.name}", fill)
+    if layout.dtype.kind == "u" and not 0 <= min(values) <= max(values) <= layout.white:
+        refuse("fill", f"from 0 to {layout.white:g} for the frames of {clip.name}", fill)
     if len(values) not in allowed:
         colours = "grey" if grey else "red, green and blue"
         refuse("fill", f"a number, or {full} of them ({colours}{', opacity' if alpha else ''}) for {clip.name}", fill)
