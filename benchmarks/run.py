@@ -67,6 +67,7 @@ def parts(here: Path, runs: int, quick: bool) -> tuple[dict[str, Part], dict[str
         "paper-more": lambda: pictures.more_of_the_paper(some),
         "others": lambda: pictures.other_ways(runs),
         "memory": lambda: pictures.memory(here, quick),
+        "tiffs": lambda: pictures.tiffs(here, quick, 1 if quick else 3),
         "frame-more": lambda: video.more_frames(runs),
         "clip-more": lambda: video.more_clips(here, few, frames),
         "clip-memory": lambda: video.memory(here),

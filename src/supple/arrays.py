@@ -194,7 +194,11 @@ def warp_picture(
     picture, for warnings.
     """
     found, count = Certificate(0.0, 0.0), picture.pixels.shape[2] if picture.pixels.ndim == 3 else 1
-    fill = np.asarray(sampling.filled(count, picture.pixels.dtype, finite=False).fill)
+    if (dtype := picture.pixels.dtype).kind in "iu":
+        low, high = np.iinfo(dtype).min, np.iinfo(dtype).max
+        if any(value < low or value > high for value in np.ravel(sampling.fill)):
+            refuse("fill", f"from {low} to {high} for the {dtype} of {name or 'the picture'}", sampling.fill)
+    fill = np.asarray(sampling.filled(count, dtype, finite=False).fill)
 
     def warp(pixels: Array, alpha: bool, channels: list[int]) -> Array:
         nonlocal found

@@ -173,3 +173,13 @@ def test_what_standard_input_and_output_cannot_be(picture: Path) -> None:
     status, out, told = run("warp", "-", str(picture), "-", *GRAB, given=b"hello")
     assert (status, out) == (2, b"")
     assert "- stands for one file" in told
+
+
+@pytest.mark.parametrize("fill", ["300", "-1", "20,20,256"])
+def test_a_fill_value_beyond_the_picture_is_refused(
+    picture: Path, capsys: pytest.CaptureFixture[str], fill: str
+) -> None:
+    target = picture.with_name("out.png")
+    assert command(["warp", str(picture), str(target), *GRAB, "--outside", "constant", f"--fill={fill}"]) == 2
+    assert "--fill must be from 0 to 255 for the uint8 of" in capsys.readouterr().err
+    assert not target.exists()

@@ -233,7 +233,7 @@ REFUSED: dict[str, list[tuple[str, str]]] = {
         ("out TIMED --preset slow", "--preset is for videos"),
         ("out/ TIMED --pixel-format yuv420p", "--pixel-format is for videos"),
         ("out%d.jpg TIMED --quality 101", "101"),
-        ("out.png TIMED", "out.png is one picture, and a clip is many: name a pattern, such as out-%05d.png, or a"),
+        ("out.png TIMED", "out.png is one picture, and a clip is many: name an animated one (.webp or .apng), a"),
         ("out.txt TIMED", "the suffix .txt is no video format"),
         ("out.ts TIMED", "the suffix .ts is no video format"),
         ("out%d.txt TIMED", ".txt"),

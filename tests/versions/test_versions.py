@@ -46,6 +46,26 @@ def warped(source: Path | str, target: str, *options: str) -> None:
     assert Path(target).exists()
 
 
+def test_pillow_heif(folder: Path) -> None:
+    heif = pytest.importorskip("pillow_heif")
+    heif.from_bytes("RGB", (60, 40), PICTURE.tobytes()).save("in.heic")
+    warped("in.heic", "out.png")
+
+
+def test_psd_tools(folder: Path) -> None:
+    psd = pytest.importorskip("psd_tools").PSDImage
+    from PIL import Image
+
+    psd.frompil(Image.fromarray(PICTURE)).save("in.psd")
+    warped("in.psd", "out.png")
+
+
+def test_rawpy(folder: Path) -> None:
+    pytest.importorskip("rawpy")
+    Path("in.dng").write_bytes(b"II*\0" + bytes(100))
+    assert command(["warp", "in.dng", "out.png", *GRAB]) == 2  # that it develops one, tests/media/image shows
+
+
 @pytest.mark.parametrize("suffix", [".png", ".jpg", ".tif", ".webp", ".avif"])
 def test_pyvips(folder: Path, suffix: str) -> None:
     import pyvips

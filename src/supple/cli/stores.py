@@ -127,7 +127,7 @@ def _check(job: Job, paths: Sequence[str]) -> None:
     from supple.files.options import ClipOptions
     from supple.media.files import is_store
 
-    names = [argument(name) for name in ("linear_light", "quality", "lossless") if getattr(job, name)]
+    names = [argument(name) for name in ("linear_light", "quality", "lossless", "compression") if getattr(job, name)]
     if job.clamp is not None:
         names.append(argument("clamp", job.clamp))
     if job.clip != ClipOptions():

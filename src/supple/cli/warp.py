@@ -83,6 +83,8 @@ def warp(
     clamp: Annotated[bool | None, Parameter(group=SAMPLING, negative="--no-clamp")] = None,
     quality: Annotated[int | None, Parameter(group=WRITING, metavar="1..100", allow_leading_hyphen=True)] = None,
     lossless: Annotated[bool, Parameter(group=WRITING)] = False,
+    compression: Annotated[str | None, Parameter(group=WRITING, metavar="HOW")] = None,
+    fast: Annotated[bool, Parameter(group=WRITING)] = False,
     save_recipe: Annotated[str | None, Parameter(group=WRITING, metavar="FILE")] = None,
     frames: Annotated[str | None, Parameter(group=VIDEO, metavar="A-B", allow_leading_hyphen=True)] = None,
     frame: Annotated[str | None, Parameter(group=VIDEO, metavar="K", allow_leading_hyphen=True)] = None,
@@ -110,17 +112,22 @@ def warp(
     ----------
     paths
         Files to read, and last the file or folder to write. The suffix of OUT is its format: PNG, JPEG, TIFF,
-        WebP, AVIF, OpenEXR, DPX and others; MP4, MOV, MKV, WebM, AVI, GIF; NIfTI, NRRD, MHA; Zarr, of pictures and
-        volumes. A dash, -, is standard input or output, in the input's format.
+        WebP, AVIF, OpenEXR, DPX and others; MP4, MOV, MKV, WebM, AVI, GIF, APNG, WebP; NIfTI, NRRD, MHA; Zarr, of
+        pictures and volumes. A dash, -, is standard input or output, in the input's format.
     linear_light
         Average in linear light instead of sRGB values, so that fine detail does not darken.
     clamp
         Keep values within the range of the input, which cubic filters leave beside sharp edges (default for volumes
         and pictures of floats).
     quality
-        Quality of JPEG (default 95), WebP and AVIF (90), from 1 to 100.
+        Quality of JPEG (default that of the input, or 95), WebP and AVIF (90), from 1 to 100.
     lossless
         Write WebP and AVIF without loss, and videos with FFV1 or --codec. PNG and TIFF are always lossless.
+    compression
+        How TIFF and PNG are compressed: none, deflate, lzw or packbits (TIFF), or a level of deflate, 0 to 9. A TIFF
+        keeps its own.
+    fast
+        Write lossless pictures as fast as their format allows; they are larger.
     save_recipe
         Write the strokes to a recipe (JSON), for --recipe.
     frames
@@ -192,8 +199,10 @@ def warp(
     known, outside = sampling.to_sampling(elsewhere, linear_light)
     template = Job(
         paths[0], paths[-1], recipe, known, outside, clamp, quality, lossless, device, options.force, shot,
-        reading, strokes.to_fit(), grid=grid,
+        reading, strokes.to_fit(), grid=grid, compression="fast" if fast else compression,
     )  # fmt: skip
+    if fast and compression is not None:
+        raise SuppleError("--fast is a compression, and so is what --compression names: give one of them")
     if options.json and paths[-1] == STREAM:
         raise SuppleError("--json and the picture cannot both go to standard output: leave --json out, or name a file")
     if not paths[-1]:
@@ -327,7 +336,7 @@ def _as_clip(paths: tuple[str, ...], recipe: "Recipe") -> tuple[str, ...]:
     """Return ``f.*.exr`` as the pattern of a clip, if it is to become one; refuse pictures for strokes with a time."""
     from supple.media.image.formats import SUFFIXES
     from supple.media.numbering import has_number, of_star
-    from supple.media.suffixes import CLIPS_OUT
+    from supple.media.suffixes import ANIMATED, CLIPS_OUT
 
     source, target = paths[0], paths[-1]
     timed = recipe.moves or (bool(recipe.strokes) and recipe.strokes[0].ndim == 3)
@@ -336,7 +345,7 @@ def _as_clip(paths: tuple[str, ...], recipe: "Recipe") -> tuple[str, ...]:
     folder, name = os.path.split(source)
     star = not glob.has_magic(name.replace("*", "", 1)) and "*" in name and not glob.has_magic(folder)
     if len(paths) == 2 and star and not os.path.exists(source):
-        many = has_number(target) or "*" in os.path.basename(target) or target.lower().endswith(CLIPS_OUT)
+        many = has_number(target) or "*" in os.path.basename(target) or target.lower().endswith(CLIPS_OUT + ANIMATED)
         if (timed or many) and (pattern := of_star(source)) is not None:
             number = re.sub("d.*", "d", os.path.basename(pattern)[name.index("*") :])
             return pattern, target.replace("*", number)

@@ -27,6 +27,7 @@ def warp_file(
     clamp: bool | None = None,
     quality: int | None = None,
     lossless: bool = False,
+    compression: str | None = None,
     device: str = "cpu",
     force: bool = False,
     progress: bool | Callable[[str], None] = False,
@@ -50,12 +51,12 @@ def warp_file(
     Parameters
     ----------
     source : str or os.PathLike
-        An image (PNG, JPEG, TIFF, WebP, AVIF, GIF, OpenEXR, DPX, SGI, Radiance, JPEG 2000, BMP, TGA, PNM); a video; a
-        pattern such as ``frames/%05d.png``, or a folder of images; a volume in NIfTI, NRRD, MetaImage, a stack of TIFF
-        pages, ``.dat``, or a folder of DICOM slices.
+        An image (PNG, JPEG, TIFF, WebP, AVIF, GIF, OpenEXR, DPX, SGI, Radiance, JPEG 2000, BMP, TGA, PNM; HEIC, PSD
+        and camera raw with the extra ``formats``); a video; a pattern such as ``frames/%05d.png``, or a folder of
+        images; a volume in NIfTI, NRRD, MetaImage, a stack of TIFF pages, ``.dat``, or a folder of DICOM slices.
     target : str or os.PathLike
         The output; its suffix determines the format: one of those of images, except GIF; for clips, MP4, MOV, MKV,
-        WebM, AVI or GIF, or a pattern or a folder for images; for volumes, NIfTI, NRRD, MetaImage or TIFF;
+        WebM, AVI, GIF, WebP or APNG, or a pattern or a folder for images; for volumes, NIfTI, NRRD, MetaImage or TIFF;
         for DICOM, also DICOM: a folder for slices, or a ``.dcm`` for a file of many frames.
     recipe : Recipe
         The strokes, the border and the fold policy. Strokes with a time, x, y and t in frames, warp the clip; strokes
@@ -69,9 +70,11 @@ def warp_file(
     clamp : bool, optional
         Whether to clamp to the range of the source; by default, for volumes and images of floats.
     quality : int, optional
-        From 1 to 100, for JPEG, WebP and AVIF.
+        From 1 to 100, for JPEG, WebP and AVIF; by default that of a JPEG that stays one.
     lossless : bool
         Whether to write without loss, in WebP and AVIF too; a video with FFV1 or the named codec.
+    compression : str, optional
+        How pictures without loss are compressed, as in `supple.media.image.write`; ``"fast"`` is the fastest.
     device : str
         The device, as in `Deformation.warp`.
     force : bool
@@ -120,4 +123,5 @@ def warp_file(
     return Job(
         source, target, recipe, Sampling(filter, tolerance, outside or "edge", fill, linear_light), outside, clamp,
         quality, lossless, device, force, known, volume or VolumeOptions(), fit, maps, grid,
+        compression,
     ).warp(progress, tell)  # fmt: skip

@@ -28,12 +28,12 @@ from supple.files.options import ClipOptions, GridOptions, PathLike
 from supple.folding.resolved import warn_of_still
 from supple.media.base import Clip, ClipWarning, CountError
 from supple.media.files import check_output, replacing
-from supple.media.image import check_quality, check_target
+from supple.media.image import check_compression, check_quality, check_target
 from supple.media.image.formats import SUFFIXES as SUFFIXES_IN
 from supple.media.image.formats import SUFFIXES_OUT as PICTURES_OUT
 from supple.media.medium import VIDEOS_OUT, is_animated
 from supple.media.numbering import has_number, is_sequence
-from supple.media.suffixes import suffix_of
+from supple.media.suffixes import ANIMATED, is_animation, suffix_of
 from supple.media.timecode import Numbering
 from supple.space.checks import LONGEST_AXIS, integer, items, length, number, refuse
 from supple.space.domain import AUTO, Domain
@@ -226,18 +226,22 @@ def check(job: Job) -> None:
         check_target(target)
         refuse_encoding(job.clip, target, "a picture")
         check_quality(target, job.quality)
+        check_compression(target, job.compression)
         check_output(target, force=job.force)
         return
     if not os.fspath(target):
         raise SuppleError("cannot write '': no file can have that name: choose another")
-    if not is_picture_target(target):
+    if not is_picture_target(target) and not is_animation(target, job.source):
         if suffix_of(target) in PICTURES_OUT:
             stem, suffix = os.path.splitext(name)
             raise SuppleError(
-                f"{name} is one picture, and a clip is many: name a pattern, such as {stem}-%05d{suffix}, or a folder"
+                f"{name} is one picture, and a clip is many: name an animated one ({' or '.join(ANIMATED)}), a "
+                f"pattern, such as {stem}-%05d{suffix}, or a folder"
             )
         if job.quality is not None:
             raise SuppleError(f"{argument('quality')} is for pictures, and {name} is a video: give a crf")
+        if job.compression is not None:
+            raise SuppleError(f"{argument('compression')} is for pictures, and {name} is a video: leave it out")
         from supple.media import video
 
         video.check_target(target)
@@ -245,8 +249,11 @@ def check(job: Job) -> None:
         return
     if has_number(target):
         check_target(target)
+    elif not is_picture_target(target):
+        check_output(target, force=job.force)
     refuse_encoding(job.clip, target, "pictures")
     check_quality(target, job.quality)
+    check_compression(target, job.compression)
 
 
 def _check_shot(options: ClipOptions) -> None:
@@ -279,7 +286,12 @@ def _writer(clip: Any, job: Job) -> contextlib.AbstractContextManager[Any]:
         from supple.media import sequence
 
         known, first = job.clip, 1 if job.clip.first_frame is None else job.clip.first_frame
+        shared["compression"] = job.compression
         return sequence.writer(clip, job.target, quality=job.quality, only=known.frame, first=first, **shared)
+    if is_animation(job.target, job.source):
+        from supple.media import animation
+
+        return animation.writer(clip, job.target, quality=job.quality, compression=job.compression, **shared)
     from supple.media.video.encode import writer
 
     known = job.clip
@@ -414,6 +426,8 @@ def _filled(clip: Clip, fill: float | Sequence[float]) -> tuple[float, ...]:
     allowed = {1, full, 3} if paint and not grey else {1, full}
     if not np.isfinite(values).all():
         refuse("fill", f"finite for the frames of {clip.name}", fill)
+    if layout.dtype.kind == "u" and not 0 <= min(values) <= max(values) <= layout.white:
+        refuse("fill", f"from 0 to {layout.white:g} for the frames of {clip.name}", fill)
     if len(values) not in allowed:
         colours = "grey" if grey else "red, green and blue"
         refuse("fill", f"a number, or {full} of them ({colours}{', opacity' if alpha else ''}) for {clip.name}", fill)

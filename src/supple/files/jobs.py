@@ -30,6 +30,7 @@ _SEEN: tuple[Kind, ...] = ("picture", "clip")
 _FOR: dict[str, tuple[object, tuple[Kind, ...]]] = {
     "quality": (None, _SEEN),
     "lossless": (False, _SEEN),
+    "compression": (None, _SEEN),
     "linear_light": (False, _SEEN),
     "clamp": (None, ("picture", "volume")),
     "clip": (ClipOptions(), ("clip",)),
@@ -60,6 +61,7 @@ class Job:
     fit: Fit | None = None
     maps: Sequence[Placed] = ()
     grid: GridOptions | None = None
+    compression: str | None = None
 
     def __post_init__(self) -> None:
         given: object = self.maps  # user input of any type

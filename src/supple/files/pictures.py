@@ -18,7 +18,16 @@ from supple.files.jobs import Job, Warped
 from supple.files.options import PathLike
 from supple.folding.resolved import warn_of_still
 from supple.media.files import check_output, replacing
-from supple.media.image import Picture, check_quality, check_target, read, warn_of_exact, with_opacity, write
+from supple.media.image import (
+    Picture,
+    check_compression,
+    check_quality,
+    check_target,
+    read,
+    warn_of_exact,
+    with_opacity,
+    write,
+)
 from supple.media.image.formats import OUT
 from supple.space.geometry import Grid
 from supple.strokes import fit_recipe
@@ -28,6 +37,7 @@ def check(job: Job) -> None:
     """Raise SuppleError for an invalid target or option, before an image is read."""
     check_target(job.target)
     check_quality(job.target, job.quality)
+    check_compression(job.target, job.compression)
     if job.lossless and _format(job.target) == "JPEG":
         text = f"cannot write {shown(job.target)} without loss: JPEG always loses: write PNG, TIFF, WebP or AVIF"
         raise SuppleError(text)
@@ -59,7 +69,8 @@ def warp(job: Job, tell: Tell) -> Warped:
     warn_of_still(job.recipe.strokes)
     made = Warped(Path(source), Path(target), "picture", (deformation,), sampling.tolerance)
     space = replace(deformation.space_on(regrid), count=picture.pages)
-    if space.is_identity and job.quality is None and not job.lossless and _format(source) == _format(target):
+    encoded = job.quality is not None or job.lossless or job.compression is not None
+    if space.is_identity and not encoded and _format(source) == _format(target):
         # Encoding a lossy image again would change it.
         tell("write", 2, 3)
         with replacing(target, force=job.force) as place:
@@ -83,7 +94,8 @@ def warp(job: Job, tell: Tell) -> Warped:
         warn_of_exact(layers)
     warn_of(found, sampling.tolerance, 3, folds_of(maps), only_name(maps))
     tell("write", 2, 3)
-    write(target, picture.pixels, like=picture, quality=job.quality, lossless=job.lossless, force=job.force)
+    how: dict[str, Any] = {name: getattr(job, name) for name in ("quality", "lossless", "compression", "force")}
+    write(target, picture.pixels, like=picture, **how)
     return replace(
         made, error=found.error, grid=regrid, own=None if held == own else own, folded=found.folded,
         outside=found.outside, unsolved=found.unknown,

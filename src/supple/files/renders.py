@@ -424,7 +424,7 @@ def render_file(
             else:
                 behind = known.background if suffix in LIGHTLESS else known.background or (0.0, 0.0, 0.0)
                 image.write(target, marked(picture.pixels(behind), camera), force=force)
-        elif suffix in turntable.SUFFIXES:
+        elif turntable.is_one(target):
             turntable.write_turntable(target, pictures(True), known.size, rate=known.rate or _RATE, force=force)
         else:
             path = Path(target)
@@ -452,7 +452,7 @@ def _check_target(target: PathLike, suffix: str, known: RenderOptions, force: bo
         from supple.render.annotate import check_annotated
 
         check_annotated(known.size)
-    if many and suffix in turntable.SUFFIXES:
+    if many and turntable.is_one(target):
         turntable.check_turntable(target, known.size, known.rate or _RATE)
         check_output(target, force=force)
         return
@@ -464,7 +464,7 @@ def _check_target(target: PathLike, suffix: str, known: RenderOptions, force: bo
     if not many and has_number(target):
         text = f"{name} names many pictures: give {argument('turntable')} with their number, or a name without one"
         raise SuppleError(text)
-    if not many and suffix in turntable.SUFFIXES:
+    if not many and turntable.is_one(target) and suffix not in image.formats.OUT:
         raise SuppleError(f"{name} is a video: give {argument('turntable')} with the number of its pictures")
     if known.what == "inversions":
         from supple.plot.frame import check_plot

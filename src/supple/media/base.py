@@ -26,6 +26,14 @@ class Clip(Protocol):
         """Frames a second, on average."""
 
     @property
+    def base(self) -> Fraction:
+        """The unit of `time`, in seconds."""
+
+    @property
+    def plays(self) -> int | None:
+        """How often an animation plays, 0 for ever; None of others."""
+
+    @property
     def layout(self) -> Layout:
         """The layout of every frame: its arrays, one for each group of components."""
 
@@ -55,6 +63,9 @@ class Clip(Protocol):
 
     def frames(self) -> Iterator[Frame]:
         """Decode all frames, in display order."""
+
+    def time(self, k: int) -> tuple[int, int]:
+        """Return the start and the duration of frame ``k`` in ticks of `base`, once, in order, after reading it."""
 
     def to_rgb(self, arrays: Sequence[Array], *, deep: bool = False) -> Array:
         """Return a frame as RGB of 8 bits, (H, W, 3), or of 16 if ``deep`` and the frame has more than 8."""

@@ -11,7 +11,7 @@ from supple.errors import shown
 from supple.media.files import PathLike
 from supple.media.image.formats import SUFFIXES as PICTURES
 from supple.media.numbering import has_number
-from supple.media.suffixes import CLIPS, CLIPS_OUT, VOLUMES_OUT, is_volume, suffix_of
+from supple.media.suffixes import CLIPS, CLIPS_OUT, VOLUMES_OUT, is_animation, is_volume, suffix_of
 from supple.space.geometry import Grid
 
 if TYPE_CHECKING:
@@ -129,8 +129,9 @@ def _is_clip(path: PathLike, target: PathLike, goal: str, timed: bool) -> bool:
         return is_animated(path)
     if suffix not in _MAY_MOVE:
         return False
-    many = goal == ".gif" or has_number(target)
-    return timed or (many and (suffix == ".gif" or is_animated(path)))
+    if timed or (goal == suffix == ".gif"):
+        return True
+    return (goal == ".gif" or is_animation(target, path) or has_number(target)) and is_animated(path)
 
 
 def is_animated(path: PathLike) -> bool:

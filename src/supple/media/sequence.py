@@ -22,7 +22,7 @@ from supple.engine.work import Array, Group, Layout
 from supple.errors import SuppleError, argument, shown
 from supple.media import image as pictures
 from supple.media.base import Clip, ClipWarning
-from supple.media.files import PathLike, check_outputs, replacing_all
+from supple.media.files import PathLike, check_outputs, first_bytes, replacing_all
 from supple.media.image import ImageWarning, MetadataWarning, PageWarning, Picture, exr
 from supple.media.image.formats import DTYPES, SUFFIXES_OUT, divided, is_exr
 from supple.media.image.headers import collected, extra_of, facts
@@ -72,6 +72,15 @@ class Pictures:
         return len(self.paths)
 
     @property
+    def base(self) -> Fraction:
+        """The unit of `time`, in seconds."""
+        return Fraction(1, 1000) if self.starts else 1 / self.rate
+
+    def time(self, k: int) -> tuple[int, int]:
+        """Return the start and the duration of frame ``k`` in ticks of `base`."""
+        return (self.starts[k], self.starts[k + 1] - self.starts[k]) if self.starts else (k, 1)
+
+    @property
     def aspect(self) -> Fraction | None:
         """The width of a pixel, relative to its height; None but for OpenEXR."""
         return exr.head_only(self.paths[0])[0].aspect if self.paths and is_exr(self.paths[0]) else None
@@ -113,7 +122,7 @@ class Pictures:
 
     def picture(self, k: int) -> tuple[Picture, list[str]]:
         """Return the image of frame ``k`` with its header, but without pixels; and a list of losses."""
-        path, group = self.paths[k], self.layout.groups[0]
+        path, group = self._place(k), self.layout.groups[0]
         image, form = opened(path)
         _, orientation, bits = facts(image)
         with reading(path):
@@ -121,8 +130,11 @@ class Pictures:
         icc = header.pop("icc-profile-data", None)
         channels = (group.channels,) if group.channels > 1 else ()
         empty = np.empty((0, group.shape[1], *channels), self.layout.dtype)
-        extra = _extra(image)
-        return Picture(empty, group.alpha, icc, bits, form, image.interpretation, 1, header, extra), lost
+        return Picture(empty, group.alpha, icc, bits, form, image.interpretation, 1, header, self.extra), lost
+
+    def _place(self, k: int) -> Path:
+        """Return the file of frame ``k``."""
+        return self.paths[k]
 
     def info(self) -> dict[str, object]:
         """Return the facts for `supple info`."""
@@ -183,6 +195,8 @@ class Animation(Pictures):
         image, self.format = opened(path)
         self._path = Path(path)
         pages = facts(image)[0]
+        if not first_bytes(path, 21)[-1] & 16:  # libvips adds opacity to all (test_an_opaque_animation_stays_opaque)
+            image = image.extract_band(0, n=3)
         self.plays = image.get("loop") if image.get_typeof("loop") else None
         delays = image.get("delay") if image.get_typeof("delay") else []
         self.starts = list(itertools.accumulate((max(1, delay) for delay in delays), initial=0))
@@ -199,20 +213,15 @@ class Animation(Pictures):
         height, width = self.layout.shape
         shape = (height, width, self.layout.groups[0].channels)
         with reading(self._path):
-            tall = apart(lambda: sequential(self._path, n=-1))
+            tall = apart(lambda: sequential(self._path, n=-1)).extract_band(0, n=shape[2])
             region = pyvips.Region.new(tall)
             for k in range(self.count):
                 data = apart(partial(region.fetch, 0, k * height, width, height), tall)
                 samples = np.frombuffer(data, np.uint8).reshape(shape)
                 yield _Still(lambda arrays, samples=samples: np.copyto(arrays[0], samples))  # type: ignore[misc]
 
-    def picture(self, k: int) -> tuple[Picture, list[str]]:
-        """Return the image of frame ``k`` without its pixels; the profile is the file's."""
-        image, form = opened(self._path)
-        icc = image.get("icc-profile-data") if image.get_typeof("icc-profile-data") else None
-        group = self.layout.groups[0]
-        empty = np.empty((0, group.shape[1], group.channels), self.layout.dtype)
-        return Picture(empty, group.alpha, icc, 8, form, image.interpretation), []
+    def _place(self, k: int) -> Path:
+        return self._path
 
 
 @contextlib.contextmanager
@@ -317,29 +326,35 @@ class PictureSink:
     def write(self, arrays: Sequence[Array], k: int, *, still: bool = False) -> None:
         """Write frame ``k``: arrays in the clip's layout."""
         name = self._names(k)
-        like = None
         clip, suffix = self._clip, Path(name).suffix.lower()
         known = isinstance(clip, Pictures) and not isinstance(clip, Animation) and not any(self._options.values())
         if still and known and suffix == clip.paths[k].suffix.lower():  # type: ignore[attr-defined]
             shutil.copyfile(clip.paths[k], self._temporary / name)  # type: ignore[attr-defined]
             self.copied += 1
             return
-        if isinstance(self._clip, Layered):
-            like, pixels = self._clip.layered(arrays, k), arrays[0]
-        elif isinstance(self._clip, Pictures):
-            like, lost = self._clip.picture(k)
-            pixels = arrays[0]
+        self._save(k, *self._rendered(arrays, k))
+
+    def _rendered(self, arrays: Sequence[Array], k: int) -> tuple[Array, Picture | None]:
+        """Return the pixels of frame ``k``, (H, W, C), and what has its header."""
+        clip, layout = self._clip, self._clip.layout
+        if isinstance(clip, Layered):
+            return arrays[0], clip.layered(arrays, k)
+        if isinstance(clip, Pictures):
+            like, lost = clip.picture(k)
             if lost:
-                text = f"{shown(self._clip.paths[k])}: {' and '.join(lost)} cannot be carried over"
+                text = f"{shown(clip.paths[k])}: {' and '.join(lost)} cannot be carried over"
                 self._say(MetadataWarning, text, text.partition(": ")[2])
-        else:
-            layout = clip.layout
-            pixels = clip.to_rgb(arrays, deep=layout.dtype.itemsize > 1)
-            if layout.groups[0].alpha:
-                white = np.iinfo(pixels.dtype).max
-                opacity = np.rint(arrays[0][..., -1:] * (white / layout.white)).astype(pixels.dtype)
-                pixels = np.concatenate([pixels, opacity], axis=2)
-            pixels = clip.upright(pixels)
+            return arrays[0], like
+        pixels = clip.to_rgb(arrays, deep=layout.dtype.itemsize > 1)
+        if layout.groups[0].alpha:
+            white = np.iinfo(pixels.dtype).max
+            opacity = np.rint(arrays[0][..., -1:] * (white / layout.white)).astype(pixels.dtype)
+            pixels = np.concatenate([pixels, opacity], axis=2)
+        return clip.upright(pixels), None
+
+    def _save(self, k: int, pixels: Array, like: Picture | None) -> None:
+        """Write the image of frame ``k``."""
+        name = self._names(k)
         temporary, final = shown(self._temporary / name), shown(self._folder / name)
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
@@ -368,6 +383,7 @@ def writer(
     force: bool = False,
     quality: int | None = None,
     lossless: bool = False,
+    compression: str | None = None,
     only: int | None = None,
     first: int = 1,
 ) -> Iterator[PictureSink]:
@@ -377,7 +393,7 @@ def writer(
     of 16 if it has more than 8 and they can be converted; and are turned upright. ``target`` is a pattern such as
     ``out/%05d.png``, or a folder, which is created if it is missing. Numbers, and names in a folder, are those of the
     source's images; a video's start at ``first``, 1 by default, and are ``%05d.png``. Unchanged frames of a sequence
-    are copies of its files, if these are of the same format. ``quality`` and ``lossless`` are as in
+    are copies of its files, if these are of the same format. ``quality``, ``lossless`` and ``compression`` are as in
     `supple.media.image.write`.
 
     SuppleError if an image exists already, the format cannot hold these pixels, or nothing can be written there.
@@ -392,7 +408,7 @@ def writer(
         folder, name = Path(text), _mirrored(clip, first)
     listed = [name(k) for k in (range(clip.count) if only is None else (only,))]
     check_outputs((folder / each for each in listed), force=force)
-    options = {"quality": quality, "lossless": lossless}
+    options = {"quality": quality, "lossless": lossless, "compression": compression}
     if clip.unpictured and only is None:
         text = f"{shown(folder)} gets pictures alone, without the {' and the '.join(clip.unpictured)} of {clip.name}"
         warnings.warn(text, ClipWarning, stacklevel=3)

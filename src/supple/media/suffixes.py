@@ -13,6 +13,8 @@ CLIPS = frozenset(
 )
 """The suffixes that are always taken for videos; other files are if the user says so."""
 CLIPS_OUT = (".mp4", ".mov", ".mkv", ".webm", ".avi", ".gif")
+ANIMATED = (".webp", ".apng")
+"""The suffixes of pictures that a clip may become; and .png, if it is a PNG itself."""
 FORMATS = {
     **dict.fromkeys((".nii", ".nii.gz", ".hdr", ".img"), "NIfTI"),
     **dict.fromkeys((".nrrd", ".nhdr"), "NRRD"),
@@ -30,6 +32,12 @@ def suffix_of(path: PathLike) -> str:
     """Return the suffix that identifies the format, in lower case: ``.nii.gz``, ``.mha``, ... or nothing."""
     name = Path(path).name.lower()
     return ".nii.gz" if name.endswith(".nii.gz") else Path(name).suffix
+
+
+def is_animation(target: PathLike, source: PathLike) -> bool:
+    """Return whether a clip becomes an animated picture, WebP or PNG, by the names of both."""
+    goal = suffix_of(target)
+    return goal in ANIMATED or (goal == ".png" and suffix_of(source) in (".png", ".apng") and os.path.isfile(source))
 
 
 def is_volume(path: PathLike) -> bool:

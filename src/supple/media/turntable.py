@@ -1,24 +1,33 @@
-"""Turntables: rendered images of 8-bit RGB, written as a video."""
+"""Turntables: rendered images of 8-bit RGB, written as a video or an animated picture."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 from fractions import Fraction
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from supple.engine.work import Group, Layout
 from supple.errors import SuppleError, argument, need, shown
+from supple.media import animation
 from supple.media.codecs import CODECS, CONTAINERS, ENCODERS, Encoder
 from supple.media.files import PathLike, check_output
 from supple.media.image import Picture
+from supple.media.numbering import has_number
 from supple.media.sequence import Pictures
+from supple.media.suffixes import ANIMATED, suffix_of
 
 _USED = {suffix: CODECS[each.usual].encoder for each in CONTAINERS for suffix in each.suffixes[:1] if not each.counted}
-SUFFIXES = tuple(_USED)
+SUFFIXES = (*_USED, *ANIMATED)
 _FASTEST = 50  # images a second of a GIF: it counts hundredths, and players slow down frames below two
+
+
+def is_one(path: PathLike) -> bool:
+    """Return whether a name is that of one file with many images; those of a pattern are numbered."""
+    return suffix_of(path) in _USED or (suffix_of(path) in ANIMATED and not has_number(path))
 
 
 class _Drawn(Pictures):
@@ -36,7 +45,7 @@ class _Drawn(Pictures):
 def check_turntable(path: PathLike, size: tuple[int, int], rate: float) -> None:
     """Raise SuppleError for a size or a rate that the format of ``path`` does not support."""
     suffix, (height, width) = Path(path).suffix.lower(), size
-    if _USED[suffix] == "libx264" and (height % 2 or width % 2):
+    if _USED.get(suffix) == "libx264" and (height % 2 or width % 2):
         even = f"{width + width % 2}x{height + height % 2}"
         text = f"{argument('size')} must be even along both sides for H.264 ({suffix}), found {width}x{height}: give"
         raise SuppleError(f"{text} {even}, or write .webm or .gif")
@@ -52,18 +61,21 @@ def write_turntable(
     rate: float = 24.0,
     force: bool = False,
 ) -> None:
-    """Encode sRGB images of shape (H, W, 3) and one size, (rows, columns), as H.264, VP9 or GIF, by the suffix.
+    """Encode sRGB images of shape (H, W, 3) and one size, (rows, columns), as a film or an animation, by the suffix.
 
     The file appears whole or not at all. SuppleError if it cannot be written with that size or rate.
     """
-    need("video", "videos", "av")
-    from supple.media.video.encode import writer
-
     check_output(path, force=force)
     check_turntable(path, size, rate)
-    encoder = ENCODERS.get(_USED[Path(path).suffix.lower()], Encoder("gif", "gif"))
-    how = {"crf": encoder.drawn, "pixel_format": "yuv420p"} if encoder.drawn else {}
     drawn = _Drawn(shown(path), size, Fraction(rate).limit_denominator(1001))
-    with writer(drawn, path, force=force, **how) as sink:  # type: ignore[arg-type]
+    how: dict[str, Any] = {}
+    writer: Any = animation.writer
+    if suffix_of(path) not in ANIMATED:
+        need("video", "videos", "av")
+        from supple.media.video.encode import writer
+
+        encoder = ENCODERS.get(_USED[suffix_of(path)], Encoder("gif", "gif"))
+        how = {"crf": encoder.drawn, "pixel_format": "yuv420p"} if encoder.drawn else {}
+    with writer(drawn, path, force=force, **how) as sink:
         for k, picture in enumerate(pictures):
             sink.write([picture], k)

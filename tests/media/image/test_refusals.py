@@ -116,8 +116,10 @@ SIDE = "pixels on a side, and the image has"
 
 class TestWhatCannotBeWritten:
     def test_unknown_suffixes(self, tmp_path):
-        known = "use .png, .jpg, .jpeg, .tif, .tiff, .webp, .avif, .exr, .dpx, .sgi, .hdr, .pfm, .pgm, .ppm, .bmp, .tga"
-        known += ", .jp2"
+        known = (
+            "use .png, .apng, .jpg, .jpeg, .tif, .tiff, .webp, .avif, .exr, .dpx, .sgi, .hdr, .pfm, .pgm, .ppm, .bmp"
+        )
+        known += ", .tga, .jp2"
         assert ", ".join(SUFFIXES_OUT) in known
         assert refused(check_target, "out.gif") == (
             f"cannot write out.gif: the suffix .gif is no image format: {known}"

@@ -157,6 +157,18 @@ def check_quality(path: PathLike, quality: int | None) -> None:
         warnings.warn(text, ImageWarning, stacklevel=3)
 
 
+def check_compression(path: PathLike, compression: str | None) -> None:
+    """Raise SuppleError for a compression that the format of a name does not have."""
+    form = formats.OUT.get(Path(path).suffix.lower())
+    if compression is None or form is None:
+        return
+    known = formats.COMPRESSIONS.get(form.name, ())
+    if compression not in known:
+        names = f"choose from {', '.join(known)}" if known else "leave it out"
+        what = f"{argument('compression')} {compression} is none of {form.name}"
+        raise SuppleError(f"cannot write {shown(path)}: {what}: {names}")
+
+
 def read(path: PathLike, *, pages: bool = False, whole: bool = False) -> Picture:
     """Read an image, upright: an orientation in its header is applied.
 
@@ -282,7 +294,7 @@ def _all_pages(path: PathLike, count: int) -> formats.Array | None:
 def _pages(form: str) -> str:
     """Return advice on a file of several pages or frames, of which one is read."""
     if form in ("PNG", "GIF", "WebP"):
-        return "frames, and only the first is read: name a video or a GIF, out.mp4 or out.gif, to keep them all"
+        return "frames, and only the first is read: name an animation or a video, out.webp or out.mp4, to keep them all"
     if form == "TIFF":
         return "pages, and only one is read: all are kept if they are of one size and type, and the output is a TIFF"
     return "pages or frames, and only one of them is read"
@@ -331,6 +343,7 @@ def write(
     alpha: bool | None = None,
     quality: int | None = None,
     lossless: bool = False,
+    compression: str | None = None,
     force: bool = False,
 ) -> None:
     """Write an image in the format of the suffix; the file appears whole or not at all.
@@ -347,9 +360,13 @@ def write(
     alpha : bool, optional
         Whether the last channel is opacity. By default as in `like`; otherwise, two or four channels have it.
     quality : int, optional
-        From 1 to 100; by default 95 for JPEG, 90 for WebP and AVIF. Not used for PNG and TIFF.
+        From 1 to 100; by default that of `like`, if it is a JPEG too, or 95; 90 for WebP and AVIF. Not used for PNG
+        and TIFF. From a JPEG to a JPEG, 4:2:0 and progressive coding are kept as well.
     lossless : bool
-        Whether to write without loss; PNG and TIFF always do, JPEG cannot.
+        Whether to write without loss; PNG and TIFF always do, JPEG cannot. WebP does if `like` is one without loss.
+    compression : str, optional
+        One of `supple.media.image.formats.COMPRESSIONS`: of TIFF and PNG a method or a level of deflate from 0 to 9;
+        ``"fast"`` is the fastest. By default as in `like` for TIFF, or deflate.
     force : bool
         Whether to replace an existing file.
 
@@ -366,6 +383,7 @@ def write(
         IPTC outside a JPEG, EXIF that is damaged or too large, or a grey profile in a format without grey.
     """
     check_target(path)
+    check_compression(path, compression)
     if isinstance(pixels, Picture):
         like = like or pixels
         pixels = pixels.pixels
@@ -381,6 +399,7 @@ def write(
     header, icc = (dict(like._header), like.icc) if like is not None else ({}, None)
     layers: exr.Exr | None = header.pop("exr", None)
     head: bytes = header.pop("dpx", b"")
+    known_as, saved = header.pop("saved", ("", {}))
     alpha, tiff, lost = 2 in extra, header.get("tiff", Tiff()), []
     if like is not None and len(like.pixels) and like.pixels.shape[:2] != array.shape[:2] and tiff.has_place:
         tiff = tiff.without_place()
@@ -446,10 +465,17 @@ def write(
             temporary.write_bytes(dpx.dressed(data, head, path) if form is formats.DPX else data)
         return
     options = formats.settings(form, array, bits, quality, lossless) | kept(image, form, sized)
+    if known_as == form.name:
+        saved = saved if quality is None else {key: value for key, value in saved.items() if key == "interlace"}
+        options |= saved
     if form is formats.TIFF:
         options |= tiff.settings(lossless, array.dtype.itemsize)
         if like is not None and like.pages > 1:
             options["page_height"] = len(array) // like.pages
+    if compression is not None and form.lossless and not options.get("lossless"):
+        text = f"{name}: compression {compression} changes nothing in {form.name} with loss: it is for lossless files"
+        warnings.warn(text, ImageWarning, stacklevel=2)
+    options |= formats.compressed(form, array, compression, bool(options.get("lossless")))
     with replacing(path, force=force) as temporary, writing(path):
         apart(lambda: getattr(image, form.saver)(os.fsencode(temporary), **options), image)
         if form is formats.TIFF:

@@ -46,7 +46,7 @@ _PGM, _PPM = {"u1": {1: "gray"}, "u2": {1: "gray16be"}}, {"u1": {3: "rgb24"}, "u
 _PNM = {
     rb"P[14]\s": "pbm", rb"P[25]\s": "pgm", rb"P[36]\s": "ppm", rb"P7\s": "pam", rb"P[Ff]\s": "pfm", rb"P[Hh]\s": "phm"
 }
-PNG = Format("PNG", (".png",), ("png",), saver="pngsave", limit=10**7, bits=16,
+PNG = Format("PNG", (".png", ".apng"), ("png",), saver="pngsave", limit=10**7, bits=16,
              options={"compression": 6, "filter": "paeth"})
 JPEG = Format("JPEG", (".jpg", ".jpeg"), ("jpeg", "uhdr"), saver="jpegsave", limit=65_500, alpha=False, cmyk=True,
               quality=95, options={"subsample_mode": "off"})
@@ -60,6 +60,8 @@ AVIF = Format("AVIF", (".avif",), saver="heifsave", limit=16_384, bits=12, grey=
 EXR_MAGIC = b"v/1\x01"
 EXR = Format("OpenEXR", (".exr",), saver="exr", bits=32, pixel_formats={"f4": {**_REAL, 4: "gbrapf32le"}})
 DPX = Format("DPX", (".dpx",), (), {rb"SDPX|XPDS": "dpx"}, "dpx", bits=16, pixel_formats=_FULL)
+RAW = Format("camera raw", (".3fr", ".arw", ".cr2", ".cr3", ".dng", ".erf", ".mef", ".mos", ".mrw", ".nef", ".nrw",
+                            ".orf", ".pef", ".raf", ".rw2", ".srw", ".x3f"))
 FORMATS = (
     PNG, JPEG, TIFF, WEBP, AVIF, EXR, DPX,
     Format("SGI", (".sgi",), (), {rb"\x01\xda": "sgi"}, "sgi", bits=16, pixel_formats=_FULL),
@@ -76,6 +78,8 @@ FORMATS = (
     Format("GIF", (".gif",), ("gif",)),
     Format("HEIF", (".heic", ".heif"), ("heif",)),
     Format("JPEG XL", (".jxl",), ("jxl",)),
+    Format("PSD", (".psd", ".psb")),
+    RAW,
     Format("SVG", (".svg",), ("svg",)),
 )
 DTYPES = {"uchar": "u1", "char": "i1", "ushort": "u2", "short": "i2", "uint": "u4", "int": "i4", "float": "f4",
@@ -87,6 +91,12 @@ SUFFIXES_OUT = tuple(OUT)
 SUFFIXES = frozenset(suffix for form in FORMATS for suffix in form.suffixes)
 LOADERS = {loader: form.name for form in FORMATS for loader in form.loaders}  # others read tables, and raw memory
 _VIPS = {np.dtype(dtype): name for name, dtype in DTYPES.items()}
+COMPRESSIONS = {
+    "PNG": ("none", "deflate", *map(str, range(10)), "fast"),
+    "TIFF": ("none", "deflate", "lzw", "packbits", *map(str, range(10)), "fast"),
+    **dict.fromkeys(("WebP", "AVIF"), ("fast",)),
+}
+"""For each format, how it may be compressed without loss."""
 COLOURS = {"b-w": 1, "grey16": 1, "cmyk": 4, "multiband": 0}  # all others have three
 
 
@@ -160,6 +170,22 @@ def settings(form: Format, array: Array, bits: int, quality: int | None, lossles
     if form is AVIF:
         chosen["bitdepth"] = bits
     return chosen
+
+
+def compressed(form: Format, array: Array, how: str | None, lossless: bool) -> dict[str, Any]:
+    """Return the settings of a saver for a compression that `COMPRESSIONS` names; none for None."""
+    if how is None:
+        return {}
+    if form in (WEBP, AVIF):
+        return {"effort": 0} if lossless else {}
+    if how == "fast":  # deflate's fastest level makes the noise of 16 bits larger than it was
+        how = "1" if array.dtype.itemsize == 1 else "none"
+    level = int(how) if how.isdigit() else 0 if how == "none" else 6
+    if form is PNG:
+        return {"compression": level, "filter": ("none", "sub")[level] if level < 2 else "paeth"}
+    if how.isdigit() and level:
+        return {"compression": "deflate", "level": level}
+    return {"compression": "none" if level == 0 else how}
 
 
 def divided(pixels: Array) -> Array:

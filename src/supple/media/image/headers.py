@@ -7,6 +7,7 @@ import os
 import re
 import struct
 from collections.abc import Mapping
+from functools import lru_cache
 from typing import Any, BinaryIO
 
 import numpy as np
@@ -24,6 +25,7 @@ EXTRA = "supple-extra"
 _THUMBNAIL = ("exif-ifd1-", "jpeg-thumbnail-data")
 _ALL, _EXIF = 63, 1  # libvips' flags for the parts of a header
 _UNKNOWN = 0.1  # a pixel a centimetre, which `finish` removes
+_HEAD = 1 << 20  # bytes at the beginning that are looked through
 _EXIF_MOST = 65_000  # libvips reads no more than fits into a JPEG, and adds a few tags
 # Previews in metadata show the old pixels: they are removed, wherever they are.
 _SIGNS = re.compile(rb"\xff\xd8\xff|\xff\xd9")  # where a JPEG begins, and where one ends
@@ -37,6 +39,44 @@ _IN_XMP = (
     rb"\sdcterms:provenance\s*=\s*\"[^\"]*(?:c2pa|jumbf)[^\"]*\"",
     rb"(?:/9j/|iVBORw0KGgo|R0lGOD|UklGR|SUkq|TU0AK|AAAA\w\wZ0eX)[A-Za-z0-9+/=\s&#;]{64,}",
 )
+
+
+def saved_as(path: PathLike, image: Any, form: str) -> dict[str, Any]:
+    """Return the settings of libvips' saver by which a file is as it is: quality, subsampling, interlacing, loss."""
+    chosen: dict[str, Any] = {}
+    if form in ("JPEG", "PNG") and image.get_typeof("interlaced"):
+        chosen["interlace"] = True
+    if form == "JPEG":
+        if image.get_typeof("jpeg-chroma-subsample") and image.get("jpeg-chroma-subsample") == "4:2:0":
+            chosen["subsample_mode"] = "on"  # of 4:2:2, libvips writes no other than 4:4:4
+        with open(path, "rb") as file:
+            steps = _quantization(file.read(_HEAD))
+        if steps is not None:
+            chosen["Q"] = 1 + int(np.abs(_all_steps() - steps).sum(axis=1).argmin())
+    if form == "WebP":
+        with open(path, "rb") as file:
+            if re.search(rb"^RIFF....WEBP(VP8X.{14}(ICCP.{4})?.*?)?VP8L", file.read(_HEAD), re.DOTALL):
+                chosen |= {"lossless": True, "exact": True}
+    return chosen
+
+
+def _quantization(data: bytes) -> Any:
+    """Return the steps of a JPEG's luma, its first table; None if there is none."""
+    at = 2
+    while data[at : at + 1] == b"\xff" and data[at + 1 : at + 2] != b"\xda":
+        if data[at + 1] == 0xDB and data[at + 4] & 15 == 0:
+            kind = ">u2" if data[at + 4] >> 4 else "u1"
+            found = np.frombuffer(data[at + 5 :][: 64 * np.dtype(kind).itemsize], kind).astype(int)
+            return found if len(found) == 64 else None
+        at += 2 + int.from_bytes(data[at + 2 : at + 4])
+    return None
+
+
+@lru_cache(maxsize=1)
+def _all_steps() -> Any:
+    """Return the steps of JPEGs of each quality from 1 to 100, as libvips writes them."""
+    dot = pyvips.Image.black(8, 8)
+    return np.array([_quantization(dot.jpegsave_buffer(Q=quality)) for quality in range(1, 101)])
 
 
 def facts(image: Any) -> tuple[int, int, int]:
@@ -89,6 +129,7 @@ def collected(path: PathLike, image: Any, form: str, turned: bool) -> tuple[dict
             lost.append("its IPTC")
     if "exif-data" in header:
         header["exif-data"] = _blanked(header["exif-data"])
+    header["saved"] = form, saved_as(path, image, form)
     if image.get_typeof("gainmap-data"):
         lost.append("its HDR gain map")
     return header, lost
@@ -166,7 +207,8 @@ def dressed(
     lost = []
     header = dict(header)
     sizes = header.pop("xres", None), header.pop("yres", None)
-    header.pop("tiff", None)
+    for name in ("tiff", "saved"):
+        header.pop(name, None)
     if icc is not None:
         sign = icc[16:20]
         stored = colours if form.grey else max(3, colours)

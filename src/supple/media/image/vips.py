@@ -15,7 +15,7 @@ import pyvips
 
 from supple.errors import SuppleError
 from supple.media.files import PathLike, head_of, refusing, unreadable, unwritable
-from supple.media.image import dpx
+from supple.media.image import dpx, foreign
 from supple.media.image.formats import DTYPES, EXR_MAGIC, LOADERS, Array, meant, wrapped
 from supple.media.image.headers import EXTRA, facts, png_frames
 from supple.media.image.tiff import Page
@@ -43,10 +43,14 @@ def opened(path: PathLike) -> tuple[Any, str]:
         from supple.media.image import exr
 
         return of_exr(exr.read(path).alone()), "OpenEXR"
+    if kind := foreign.kind_of(path, head):
+        return foreign.opened(path, kind), kind
     try:
         image = of_tiff(path) if head.startswith(_TIFF) else apart(lambda: sequential(path))
         form = LOADERS.get(str(image.get("vips-loader")).partition("load")[0])
-        if form == "HEIF" and image.get("heif-compression") == "av1":
+        if form == "HEIF":
+            if image.get("heif-compression") != "av1":  # libvips opens it, and lacks its codec
+                return foreign.opened(path, "HEIC"), form
             form = "AVIF"
         if form == "PNG" and (frames := png_frames(path)) > 1:  # libvips reads only the first
             image = image.copy()
@@ -55,8 +59,7 @@ def opened(path: PathLike) -> tuple[Any, str]:
         raise
     except (pyvips.Error, ArithmeticError, ValueError) as error:
         if _HEIC.match(head):
-            advice = "convert it, to AVIF or JPEG for instance"
-            raise unreadable(path, "it is HEIC, which is not supported here", advice) from error
+            return foreign.opened(path, "HEIC"), "HEIF"
         if head.startswith(_JXL):
             advice = "convert it, to PNG or AVIF for instance"
             raise unreadable(path, "it is JPEG XL, which is not supported here", advice) from error

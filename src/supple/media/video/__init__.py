@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import math
 import warnings
 from collections import deque
@@ -44,6 +45,7 @@ from supple.media.video.streams import named
 
 _COPY = "give a whole copy of it"
 _LEAST, _UTMOST = Fraction(1, 10_000), Fraction(100_000)
+_FINEST = 1 << 31  # ticks a second
 _MOST = 1000  # frames a second; higher rates are tick counts
 
 
@@ -85,6 +87,7 @@ class Clip(VideoSource):
         try:
             film = demux.chosen(self.source, path)
             super().__init__(shown(path), _rate(film, counted), film.time_base or Fraction(1, 1000))
+            self._lasting(demux.delays_of(self.source))
             self._read_facts(film)
             self._look(self._first())
         except BaseException:
@@ -94,6 +97,14 @@ class Clip(VideoSource):
             how_much = f"{self._lost(counted.count)}: " if counted.missing else ""
             what = f"is damaged or cut short: {how_much}what can be decoded of it is used"
             warnings.warn(f"{self.name} {what}", ClipWarning, stacklevel=4)
+
+    def _lasting(self, delays: Sequence[Fraction]) -> None:
+        """Use exact durations of frames, if there is one for each."""
+        unit = math.lcm(*(each.denominator for each in delays))
+        self._starts: list[int] = []
+        if delays and len(delays) == self.count and unit < _FINEST:
+            self.base, self.rate = Fraction(1, unit), self.count / sum(delays, Fraction(0))
+            self._starts = [int(start * unit) for start in itertools.accumulate(delays, initial=Fraction(0))]
 
     def _read_facts(self, film: av.VideoStream) -> None:
         self.index = film.index
@@ -179,7 +190,8 @@ class Clip(VideoSource):
         kept = self._times.kept if self._times else None
         if not kept:
             raise ValueError(f"frame {k} has not been read")
-        return kept.popleft()
+        found = kept.popleft()
+        return (self._starts[k], self._starts[k + 1] - self._starts[k]) if self._starts else found
 
     def packet(self, k: int) -> av.Packet[Any] | None:
         """Return the packet that frame `k` alone was decoded from, once, in order; None if there is none."""
@@ -197,7 +209,9 @@ class Clip(VideoSource):
         self._fresh = False
         film = demux.chosen(self.source, self.path)
         others = [self.source.streams[index] for index in self.passage.indices] if self.passage else []
-        times = demux.Times(self.base, demux.usual_step(self.rate, self.base), deque() if self.passage else None)
+        times = demux.Times(
+            self.base, demux.usual_step(self.rate, self.base), deque() if self.passage or self.timed else None
+        )
         self._times = times
         counted = demux.is_counted(self.source)
         shown_at: deque[int] = deque()

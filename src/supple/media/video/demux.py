@@ -118,6 +118,20 @@ def plays_of(container: av.container.InputContainer) -> int | None:
         return 1 if again is None else again and again + 1
 
 
+# Kept: FFmpeg rounds them (test_times_of_a_film_are_kept).
+def delays_of(container: av.container.InputContainer) -> list[Fraction]:
+    """Return the seconds that each frame of an animated PNG lasts; nothing of another file, or if one has none."""
+    found, at = [], 8
+    if container.format.name == "apng":
+        with open(container.name, "rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
+            while len(head := data[at : at + 34]) > 8:
+                if head[4:8] == b"fcTL":
+                    part, whole = int.from_bytes(head[28:30]), int.from_bytes(head[30:32])
+                    found.append(Fraction(part, whole or 100))
+                at += 12 + int.from_bytes(head[:4])
+    return found if all(found) else []
+
+
 def _attend(container: av.container.InputContainer, streams: Sequence[av.stream.Stream]) -> None:
     """Discard the packets of all other streams."""
     for stream in container.streams:

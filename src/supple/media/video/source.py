@@ -37,6 +37,7 @@ class VideoSource:
     grading = Grading()
     source: av.container.InputContainer | None = None
     passage: Passage | None = None  # receives the packets of other streams during writing
+    timed = False  # whether the times of frames are kept without that
     display: tuple[int, int, int, int] | None = None
     copies = False  # whether packets of frames are kept, to be copied
 
@@ -82,7 +83,7 @@ class Stills(VideoSource):
     stills = True
 
     def __init__(self, pictures: Pictures) -> None:
-        super().__init__(pictures.name, pictures.rate, 1 / pictures.rate)
+        super().__init__(pictures.name, pictures.rate, pictures.base)
         self.layout, self.count, group = pictures.layout, pictures.count, pictures.layout.groups[0]
         count, known = group.channels, STILLS[self.layout.dtype.name]
         if pictures.extra == (1,):
@@ -93,13 +94,11 @@ class Stills(VideoSource):
         found = form(known[count - 1])
         assert found is not None
         self.form, self.colour = found, Colour(FULL, BT709, BT709, RGB)
-        self._starts, self.plays, self.aspect = pictures.starts, pictures.plays, pictures.aspect
-        if self._starts:
-            self.base = Fraction(1, 1000)
+        self._time, self.plays, self.aspect = pictures.time, pictures.plays, pictures.aspect
         profile = pictures.picture(0)[0].icc
         if profile and b"sRGB" not in profile and "sRGB".encode("utf-16-be") not in profile:
             self.unheld = ("the colour profile of the pictures",)
 
     def time(self, k: int) -> tuple[int, int]:
         """Return the start and the duration of frame `k` in ticks of `base`."""
-        return (self._starts[k], self._starts[k + 1] - self._starts[k]) if self._starts else (k, 1)
+        return self._time(k)

@@ -34,6 +34,7 @@ from supple.media.files import check_output, locked, replacing, same_file
 from supple.media.image import check_target
 from supple.media.image.formats import SUFFIXES_OUT as PICTURES_OUT
 from supple.media.medium import VIDEOS_OUT
+from supple.media.suffixes import ANIMATED
 from supple.media.volume import SUFFIXES_OUT as VOLUMES_OUT
 from supple.media.volume import suffix_of
 from supple.strokes import Recipe, Stroke, spoken
@@ -574,7 +575,7 @@ class FileCommands:
 # The suffixes of each kind, and those proposed for formats that are only read.
 _WRITTEN: dict[Kind | None, tuple[Collection[str], str]] = {
     "image": (PICTURES_OUT, ".png"),
-    "video": ({*VIDEOS_OUT, ".gif", ".m4v"}, ".mp4"),
+    "video": ({*VIDEOS_OUT, *ANIMATED, ".gif", ".m4v"}, ".mp4"),
     "volume": (VOLUMES_OUT, ".nii.gz"),
 }
 _OVER = "There are strokes that were not saved. Undo brings them back, but only as long as the window is open."

@@ -127,7 +127,7 @@ def _accuracy(view: View) -> None:
 
 _FORMATS = {
     "image": (".jpg", ".png", ".tif", ".webp", ".avif", ".exr"),
-    "video": (".mp4", ".mov", ".mkv", ".webm", ".gif"),
+    "video": (".mp4", ".mov", ".mkv", ".webm", ".gif", ".webp", ".apng"),
     "volume": (".nii.gz", ".nrrd", ".mha", ".tif"),
 }
 _FIELDS = (

@@ -1,0 +1,208 @@
+"""Animated WebP and PNG, written: stills in one file, of which each is the part that differs from the frame before."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import struct
+import tempfile
+import warnings
+import zlib
+from collections.abc import Iterator, Sequence
+from fractions import Fraction
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+
+from supple.engine.work import Array
+from supple.errors import shown
+from supple.media.base import ClipWarning
+from supple.media.files import PathLike, replacing
+from supple.media.sequence import PictureSink
+
+Chunk = tuple[bytes, bytes]
+Box = tuple[int, int, int, int]
+_SHORT, _LONGEST = 65535, (1 << 24) - 1  # of a PNG's fractions of a second, and of a WebP's milliseconds
+
+
+class _Png:
+    """An APNG: the chunks of the first still, then the data of each frame, numbered."""
+
+    def __init__(self, file: IO[bytes], count: int, plays: int) -> None:
+        self._file, self._count, self._plays, self._number = file, count, plays, 0
+
+    def _put(self, kind: bytes, data: bytes) -> None:
+        self._file.write(struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data)))
+
+    def _numbered(self, kind: bytes, data: bytes) -> None:
+        self._put(kind, struct.pack(">I", self._number) + data)
+        self._number += 1
+
+    def add(self, still: bytes, box: Box, lasts: Fraction) -> Fraction:
+        """Append a frame; return the seconds that it lasts, as the file has them."""
+        first, at, data = self._number == 0, 8, b""
+        if first:
+            self._file.write(still[:at])
+        while at < len(still):
+            size, kind = int.from_bytes(still[at : at + 4]), still[at + 4 : at + 8]
+            if kind == b"IDAT":
+                data += still[at + 8 : at + 8 + size]
+            elif first and kind != b"IEND":
+                self._file.write(still[at : at + 12 + size])
+            at += 12 + size
+        if first:
+            self._put(b"acTL", struct.pack(">II", self._count, self._plays))
+        if max(lasts.as_integer_ratio()) > _SHORT:
+            scale = max(1, int(_SHORT / max(float(lasts), 1.0)))
+            lasts = Fraction(min(max(1, round(lasts * scale)), _SHORT), scale)
+        left, top, width, height = box
+        head = struct.pack(">IIIIHHBB", width, height, left, top, *lasts.as_integer_ratio(), 0, 0)
+        self._numbered(b"fcTL", head)
+        self._put(b"IDAT", data) if first else self._numbered(b"fdAT", data)
+        return lasts
+
+    def finish(self) -> None:
+        """Write the end."""
+        self._put(b"IEND", b"")
+
+
+class _WebP:
+    """An animated WebP: the profile of the first still, the frames, and its other headers."""
+
+    def __init__(self, file: IO[bytes], size: tuple[int, int], alpha: bool, plays: int) -> None:
+        self._file, self._size, self._alpha, self._plays = file, size, alpha, min(plays, _SHORT)
+        self._last: list[Chunk] | None = None
+
+    def _put(self, kind: bytes, data: bytes) -> None:
+        self._file.write(_riff(kind, data))
+
+    def add(self, still: bytes, box: Box, lasts: Fraction) -> Fraction:
+        """Append a frame; return the seconds that it lasts, as the file has them."""
+        chunks, at = [], 12
+        while at + 8 <= len(still):
+            size = int.from_bytes(still[at + 4 : at + 8], "little")
+            chunks.append((still[at : at + 4], still[at + 8 : at + 8 + size]))
+            at += 8 + size + size % 2
+        if self._last is None:
+            known = {kind: data for kind, data in chunks if kind in (b"ICCP", b"EXIF", b"XMP ")}
+            flags = 2 | 32 * (b"ICCP" in known) | 16 * self._alpha | 8 * (b"EXIF" in known) | 4 * (b"XMP " in known)
+            self._file.write(b"RIFF\0\0\0\0WEBP")
+            self._put(b"VP8X", struct.pack("<I", flags) + _threes(*(n - 1 for n in self._size)))
+            if profile := known.pop(b"ICCP", None):
+                self._put(b"ICCP", profile)
+            self._put(b"ANIM", struct.pack("<IH", 0, self._plays))
+            self._last = [*known.items()]
+        left, top, width, height = box
+        ticks = min(max(1, round(lasts * 1000)), _LONGEST)
+        head = _threes(left // 2, top // 2, width - 1, height - 1, ticks) + b"\2"  # replaces what is there
+        data = b"".join(_riff(kind, data) for kind, data in chunks if kind in (b"ALPH", b"VP8 ", b"VP8L"))
+        self._put(b"ANMF", head + data)
+        return Fraction(ticks, 1000)
+
+    def finish(self) -> None:
+        """Write the end, and the size at the beginning."""
+        for chunk in self._last or ():
+            self._put(*chunk)
+        size = self._file.tell() - 8
+        if size >> 32:
+            raise OSError(errno.EFBIG, "a WebP ends at 4 GB")
+        self._file.seek(4)
+        self._file.write(struct.pack("<I", size))
+
+
+def _riff(kind: bytes, data: bytes) -> bytes:
+    return kind + struct.pack("<I", len(data)) + data + bytes(len(data) % 2)
+
+
+def _threes(*numbers: int) -> bytes:
+    return b"".join(number.to_bytes(3, "little") for number in numbers)
+
+
+class AnimationSink(PictureSink):
+    """A sink of frames; each is written when the next has come, as it lasts until then."""
+
+    def __init__(self, clip: Any, target: Path, folder: Path, file: IO[bytes], options: dict[str, Any]) -> None:
+        super().__init__(clip, target.parent, folder, lambda k: target.name, options)
+        (height, width), alpha = clip.layout.shape, clip.layout.groups[0].alpha
+        size = (height, width) if round(clip.rotation / 90) % 2 else (width, height)
+        webp, plays = target.suffix.lower() == ".webp", clip.plays or 0
+        self._made = _WebP(file, size, alpha, plays) if webp else _Png(file, clip.count, plays)
+        self._step = 2 if webp else 1  # places are even in a WebP
+        self._before: Array | None = None
+        self._due: tuple[bytes, Box] | None = None
+        self._end = self._start = self._shown = Fraction(0)
+
+    def write(self, arrays: Sequence[Array], k: int, *, still: bool = False) -> None:
+        """Encode frame ``k``."""
+        ticks, lasts = self._clip.time(k)
+        pixels, like = self._rendered(arrays, k)
+        if self._due is None:
+            self._start = ticks * self._clip.base
+        self._flush(ticks * self._clip.base)
+        self._end = (ticks + lasts) * self._clip.base
+        left, top, width, height = box = _changed(pixels, self._before, self._step)
+        self._before = pixels.copy()
+        self._save(k, pixels[top : top + height, left : left + width], like)
+        place = self._temporary / self._names(k)
+        self._due = place.read_bytes(), box
+        place.unlink()
+
+    def _flush(self, until: Fraction) -> None:
+        """Write the frame before, which is shown until then; what its time is rounded by, the next makes good."""
+        if self._due is not None:
+            self._shown += self._made.add(*self._due, until - self._start - self._shown)
+
+    def finish(self) -> None:
+        """Write the last frame."""
+        self._flush(self._end)
+        self._made.finish()
+
+
+def _changed(pixels: Array, before: Array | None, step: int) -> Box:
+    """Return the box around the pixels that differ: x, y, width and height; one pixel if none do."""
+    if before is None:
+        return 0, 0, pixels.shape[1], pixels.shape[0]
+    differ = (pixels != before).any(axis=2)
+    (left, right), (top, bottom) = (
+        (int(found[0]) // step * step, int(found[-1]) + 1) if len(found) else (0, 1)
+        for found in (np.flatnonzero(differ.any(axis=axis)) for axis in (0, 1))
+    )
+    return left, top, right - left, bottom - top
+
+
+@contextlib.contextmanager
+def writer(
+    clip: Any,
+    target: PathLike,
+    *,
+    force: bool = False,
+    quality: int | None = None,
+    lossless: bool = False,
+    compression: str | None = None,
+) -> Iterator[AnimationSink]:
+    """Write a clip's frames as one animated picture, WebP or PNG by the suffix, which appears whole or not at all.
+
+    Frames are stills as `supple.media.sequence.writer` writes them, of RGB or RGBA, upright, of 16 bits in a PNG if the
+    clip has more than 8; the first one's profile and headers are the file's. Times are those of the clip: fractions in
+    a PNG, whole milliseconds in a WebP, which do not add up errors; it plays as often as the source, and for ever if
+    that is a film. SuppleError as of `sequence.writer`.
+    """
+    if clip.unpictured:
+        text = f"{shown(target)} gets pictures alone, without the {' and the '.join(clip.unpictured)} of {clip.name}"
+        warnings.warn(text, ClipWarning, stacklevel=3)
+    clip.timed = True
+    with (
+        replacing(target, force=force) as temporary,
+        tempfile.TemporaryDirectory(prefix=".", dir=temporary.parent) as folder,
+        open(temporary, "wb") as file,
+    ):
+        sink = AnimationSink(
+            clip,
+            Path(target),
+            Path(folder),
+            file,
+            {"quality": quality, "lossless": lossless, "compression": compression},
+        )
+        yield sink
+        sink.finish()
