@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import math
 import warnings
 from collections import deque
@@ -77,16 +78,21 @@ class Clip(VideoSource):
         self._packets: deque[av.Packet[Any] | None] = deque()
         self._fresh = True
         self._index: tuple[demux.Index | None] | None = None
+        self._sturdy = count is not None
         with demux.opened(path) as container:
-            counted = demux.survey(container, demux.chosen(container, path))
-        self._sturdy = count is not None or counted.suspect
+            film = demux.chosen(container, path)
+            self.codec = film.codec_context.codec.canonical_name
+            counted, first = demux.survey(container, film, self._decoder(film, 1))
+        if first is None:
+            raise unreadable(path, "no frame of it can be decoded", _COPY)
+        self._sturdy |= counted.suspect
         self.path, self.survey, self.source = path, counted, demux.opened(path)
         self.count = counted.count if count is None else count
         try:
             film = demux.chosen(self.source, path)
             super().__init__(shown(path), _rate(film, counted), film.time_base or Fraction(1, 1000))
             self._read_facts(film)
-            self._look(self._first())
+            self._look(first)
         except BaseException:
             self.source.close()
             raise
@@ -98,7 +104,7 @@ class Clip(VideoSource):
     def _read_facts(self, film: av.VideoStream) -> None:
         self.index = film.index
         context = film.codec_context
-        self.codec, self.lossless = context.codec.canonical_name, context.codec.lossless and not context.codec.lossy
+        self.lossless = context.codec.lossless and not context.codec.lossy
         self.tags, self.disposition = dict(film.metadata), film.disposition
         self.field_order, self.profile = context.field_order, context.profile or ""
         tagged = [film, *(stream for stream in self.source.streams if stream.type == "data"), self.source]
@@ -144,16 +150,6 @@ class Clip(VideoSource):
         offset = siting(sited(self.colour, self.codec, found.kind), found.kind)
         layout = found.kind.layout(frame.width, frame.height, offset)
         self.layout = replace(layout, black=black(found, self.colour))
-
-    def _first(self) -> av.VideoFrame:
-        """Decode one frame, from a container of its own."""
-        with demux.opened(self.path) as container:
-            film = demux.chosen(container, self.path)
-            decoder = self._decoder(film, 1)
-            for packet in demux.fed(demux.packets(container, [film])):
-                for frame in demux.decoded_by(decoder, packet) or ():
-                    return frame
-        raise unreadable(self.path, "no frame of it can be decoded", _COPY)
 
     def _decoder(self, film: av.VideoStream, count: int) -> av.VideoCodecContext:
         context = film.codec_context
@@ -281,7 +277,7 @@ class Clip(VideoSource):
             film = demux.chosen(container, self.path)
             container.seek(start, stream=film)
             decoder, fresh = self._decoder(film, self._threads), True
-            for packet in demux.fed(demux.packets(container, [film])):
+            for packet in itertools.chain(demux.packets(container, [film]), [None]):
                 if fresh and (packet is None or not packet.is_keyframe or packet.pts != start):
                     return
                 fresh = False

@@ -188,7 +188,7 @@ def recast(
         "out_chroma_loc": meant.site or "left",
         "flags": _FLAGS,
     }
-    frame = pack(arrays, staging, width, height)
+    frame = pack(arrays, staging, av.VideoFrame(width, height, staging.name))
     scale = ":".join(f"{key}={value}" for key, value in settings.items())  # unlike `reformat`, with the chroma siting
     made = filtered(frame, ("scale", scale), ("format", f"pix_fmts={target.name}"))
     assert made is not None

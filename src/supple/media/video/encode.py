@@ -68,6 +68,7 @@ class Sink:
         self._written = 0
         self.copied = 0  # frames copied as packets of the source
         self._due: dict[int, av.Packet[Any] | None] = {}  # packets in order; None while a frame is encoded
+        self._blank = av.VideoFrame(video.width, video.height, plan.match.form.name)  # memory that is used again
         self._halved = False  # whether partial opacity has occurred
         self._drift, self._origin = Fraction(0), Fraction(0)  # largest error of a time, and first time, in seconds
         self._tick: int | None = None
@@ -164,7 +165,7 @@ class Sink:
                 self._plan.depth = ""
         if not chosen.same:
             return self._fielded(recast(arrays, video.form, colour, chosen.form, self._plan.colour, shape))
-        frame = pack(arrays, chosen.form, video.width, video.height)
+        frame = pack(arrays, chosen.form, self._blank)
         chosen.colour.mark(frame)
         return self._fielded(frame)
 
