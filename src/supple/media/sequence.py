@@ -8,7 +8,7 @@ import os
 import shutil
 import warnings
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from fractions import Fraction
 from functools import partial
 from pathlib import Path
@@ -21,7 +21,7 @@ from supple.engine.stream import Frame
 from supple.engine.work import Array, Group, Layout
 from supple.errors import SuppleError, argument, shown
 from supple.media import image as pictures
-from supple.media.base import Clip, ClipWarning
+from supple.media.base import Clip, ClipWarning, LazyFrame
 from supple.media.files import PathLike, check_outputs, replacing_all
 from supple.media.image import ImageWarning, MetadataWarning, PageWarning, Picture, exr
 from supple.media.image.formats import DTYPES, SUFFIXES_OUT, divided, is_exr
@@ -30,13 +30,6 @@ from supple.media.image.vips import apart, decoded, opened, reading, sequential,
 from supple.media.numbering import first_number, has_number, matching, numbered, percent, pictures_in, spelling
 
 _WHITE = {"uint8": 255.0, "uint16": 65535.0, "float32": 1.0}
-
-
-@dataclass(frozen=True, slots=True)
-class _Still:
-    """A frame that is read when it is copied, so that only one is in memory."""
-
-    copy_to: Callable[[Sequence[Array]], None]
 
 
 class Pictures:
@@ -78,8 +71,7 @@ class Pictures:
 
     def frames(self) -> Iterator[Frame]:
         """Yield the frames in order; each is read when it is copied."""
-        for path in self.paths:
-            yield _Still(partial(self._read, path))
+        return (LazyFrame(partial(self._read, path)) for path in self.paths)
 
     def _read(self, path: Path, arrays: Sequence[Array]) -> None:
         image, form = opened(path)
@@ -204,7 +196,7 @@ class Animation(Pictures):
             for k in range(self.count):
                 data = apart(partial(region.fetch, 0, k * height, width, height), tall)
                 samples = np.frombuffer(data, np.uint8).reshape(shape)
-                yield _Still(lambda arrays, samples=samples: np.copyto(arrays[0], samples))  # type: ignore[misc]
+                yield LazyFrame(lambda arrays, samples=samples: np.copyto(arrays[0], samples))  # type: ignore[misc]
 
     def picture(self, k: int) -> tuple[Picture, list[str]]:
         """Return the image of frame ``k`` without its pixels; the profile is the file's."""

@@ -200,12 +200,9 @@ def filtered(frame: av.VideoFrame, *filters: tuple[str, str]) -> av.VideoFrame |
     """Return a frame that has passed filters, each with its arguments; None if they drop it."""
     graph = Graph()
     frame.pts, frame.time_base = 0, Fraction(1, 25)
-    last = graph.add_buffer(width=frame.width, height=frame.height, format=frame.format, time_base=frame.time_base)
-    for name, arguments in (*filters, ("buffersink", "")):
-        added = graph.add(name, arguments or None)
-        last.link_to(added)
-        last = added
-    graph.configure()
+    first = graph.add_buffer(width=frame.width, height=frame.height, format=frame.format, time_base=frame.time_base)
+    rest = (graph.add(name, arguments or None) for name, arguments in (*filters, ("buffersink", "")))
+    graph.link_nodes(first, *rest).configure()
     graph.vpush(frame)
     try:
         return graph.vpull()
