@@ -376,10 +376,13 @@ def writer(
     """
     text = os.fspath(target)
     check_target(text)
+    name: Callable[[int], str]
     if only is not None:
-        folder, name = Path(text).parent, _one(text)
+        folder, name = Path(text).parent, lambda _: Path(text).name
     elif has_number(text):
-        folder, name = Path(text).parent, _numbers(clip, text, first)
+        spell = spelling(Path(percent(text)).name, text)
+        start = clip.first if isinstance(clip, Pictures) and clip.first is not None else first
+        folder, name = Path(text).parent, lambda k: spell(start + k)
     else:
         folder, name = Path(text), _mirrored(clip, first)
     listed = [name(k) for k in (range(clip.count) if only is None else (only,))]
@@ -397,17 +400,6 @@ def writer(
         if left and only is None:
             text = f"{shown(folder)} also holds {left} other pictures, which are left as they were"
             warnings.warn(text, ImageWarning, stacklevel=3)
-
-
-def _one(text: str) -> Callable[[int], str]:
-    return lambda _: Path(text).name
-
-
-def _numbers(clip: Clip, text: str, first: int) -> Callable[[int], str]:
-    """Return the names of a pattern, with the numbers of the source, or from the first one."""
-    spell = spelling(Path(percent(text)).name, text)
-    first = clip.first if isinstance(clip, Pictures) and clip.first is not None else first
-    return lambda k: spell(first + k)
 
 
 def _mirrored(clip: Clip, first: int) -> Callable[[int], str]:
