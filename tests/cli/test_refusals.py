@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import shlex
 from pathlib import Path
 
@@ -20,6 +21,13 @@ WORDS = {
     "DRAG": "--grab 11,13,9:14,11,10.5 --radius 9 --border 8",
     "STROKE": "--grab 4,4,4:5,4,4 --radius 3",
     "LONG": "x" * 300,
+}
+# Options that are whole numbers, which Cyclopts would round.
+WHOLE = {
+    "warp in.mkv o.mkv": ("hold", "quality", "jobs", "threads", "workers", "track-first"),
+    "view in.png": ("port",),
+    "render in.nii o.png": ("smooth", "turntable", "time"),
+    "plan in.zarr": ("threads",),
 }
 # How command lines begin, how they go on, and what is said of them; … stands for other words.
 REFUSED: dict[str, list[tuple[str, str]]] = {
@@ -461,6 +469,23 @@ def test_what_cannot_be_is_one_line(
         assert part in one_line(err)
     assert "fault" not in err
     assert {path: path.stat().st_mtime_ns for path in inputs.rglob("*")} == before
+
+
+@pytest.mark.parametrize(("begin", "name"), [(begin, name) for begin, names in WHOLE.items() for name in names])
+def test_whole_numbers_are_not_rounded(run: Run, begin: str, name: str) -> None:
+    for text in ("1.5", "1.0", "x"):
+        status, out, err = run(*begin.split(), f"--{name}", text)
+        assert (status, out) == (2, "")
+        assert one_line(err) == f"supple: --{name} must be a whole number, found {text!r}\n"
+
+
+def test_whole_numbers_are_all_in_that_table() -> None:
+    source = "".join(path.read_text("utf-8") for path in Path(supple.__file__).parent.joinpath("cli").glob("*.py"))
+    found = re.findall(r"(\w+): Annotated\[int\b[^,]*, (\w+)\((.*?)\)\]", source)
+    assert {name for name, kind, more in found if "count=True" not in more} == {
+        name.replace("-", "_") for names in WHOLE.values() for name in names
+    }
+    assert all(kind == "whole" for _, kind, more in found if "count=True" not in more)
 
 
 @pytest.mark.parametrize("name", ["missing", "empty", "text", "cut", "folder", "cut jpeg"])

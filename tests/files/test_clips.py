@@ -304,9 +304,9 @@ def test_a_miscounted_clip_is_read_once_more(run: Run, monkeypatch: pytest.Monke
     frames = stack(noisy("in.mkv", "yuv444p"))
     true = supple.media.video.demux.survey
 
-    def survey(container: Any, film: Any) -> Any:
-        found = true(container, film)
-        return replace(found, count=found.count + off)
+    def survey(*given: Any) -> Any:
+        found, first = true(*given)
+        return replace(found, count=found.count + off), first
 
     off = 0
     monkeypatch.setattr(supple.media.video.demux, "survey", survey)

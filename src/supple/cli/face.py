@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Group, Parameter
 
-from supple.cli.options import RunOptions, parse_number, read
+from supple.cli.options import RunOptions, parse_number, read, whole
 from supple.cli.options_strokes import StrokeOptions
 from supple.cli.warp import SEVERAL, WRITING, warp
 from supple.errors import SuppleError
@@ -100,12 +100,12 @@ _FACES = FaceOptions()
 def face(
     *paths: Annotated[str, Parameter(name="IN... OUT", required=True)],
     faces: FaceOptions = _FACES,
-    quality: Annotated[int | None, Parameter(group=WRITING, metavar="1..100", allow_leading_hyphen=True)] = None,
+    quality: Annotated[int | None, whole("1..100", group=WRITING)] = None,
     lossless: Annotated[bool, Parameter(group=WRITING)] = False,
     save_recipe: Annotated[str | None, Parameter(group=WRITING, metavar="FILE")] = None,
     recursive: Annotated[bool, Parameter(group=SEVERAL)] = False,
     skip_existing: Annotated[bool, Parameter(group=SEVERAL)] = False,
-    jobs: Annotated[int | None, Parameter(group=SEVERAL, metavar="N", allow_leading_hyphen=True)] = None,
+    jobs: Annotated[int | None, whole(group=SEVERAL)] = None,
     options: RunOptions = _RUN,
 ) -> None:
     """Adjust the faces of pictures: slimmer, larger eyes, a smile, a narrower nose.

@@ -63,6 +63,11 @@ def number(wanted: str, metavar: str, **more: Any) -> Parameter:
     return read(partial(parse_number, wanted=wanted), metavar, **more)
 
 
+def whole(metavar: str = "N", **more: Any) -> Parameter:
+    """Return an option that is a whole number, which Cyclopts would round."""
+    return read(partial(parse_integer, wanted="a whole number"), metavar, **more)
+
+
 def _scale(option: str, text: str) -> float:
     wanted = "a number of pixels above 0"
     scale = parse_number(option, text, wanted)
@@ -125,7 +130,7 @@ class RunOptions:
     quiet: bool = False
     strict: bool = False
     json: bool = False
-    threads: Annotated[int | None, Parameter(metavar="N", allow_leading_hyphen=True)] = None
+    threads: Annotated[int | None, whole()] = None
 
     def asked(self) -> dict[str, Any]:
         """Return what the console is to know of them."""
@@ -271,9 +276,6 @@ def parse_three(name: str, text: str) -> tuple[float, float, float]:
     return x, y, z
 
 
-_whole = partial(parse_integer, wanted="a whole number")
-
-
 @Parameter(name="*", group=VIDEO)
 @dataclass(kw_only=True, eq=False, repr=False)
 class TrackOptions:
@@ -309,7 +311,7 @@ class TrackOptions:
     track_from: Annotated[
         Literal["pixels", "nuke", "ae"] | None, Parameter(metavar="pixels|nuke|ae", show_choices=False)
     ] = None
-    track_first: Annotated[int | None, read(_whole, "N")] = None
+    track_first: Annotated[int | None, whole()] = None
 
     def followed(self, recipe: "Recipe", count: int, paths: Sequence[str], memory: float, frames: Frames) -> "Recipe":
         """Return a recipe whose last ``count`` strokes, those of the command line, follow the tracks."""
@@ -432,7 +434,7 @@ class WorkerOptions:
         Work on a cluster of Dask, which has started already: the address of its scheduler.
     """
 
-    workers: Annotated[int | None, Parameter(metavar="N", allow_leading_hyphen=True)] = None
+    workers: Annotated[int | None, whole()] = None
     scheduler: Annotated[str | None, Parameter(metavar="tcp://HOST:PORT")] = None
 
     @property

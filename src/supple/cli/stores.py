@@ -13,7 +13,7 @@ from cyclopts import Parameter
 
 from supple.cli.console import STREAM, Console, File, Terminated, about, current, one_line, say_convention
 from supple.cli.console import told as told_of
-from supple.cli.options import RUNNING, Labels, SamplingOptions, VolumeArguments, WorkerOptions
+from supple.cli.options import RUNNING, Labels, SamplingOptions, VolumeArguments, WorkerOptions, whole
 from supple.cli.options_maps import (
     OTHERS,
     MapOptions,
@@ -183,7 +183,7 @@ def plan(
     workers: WorkerOptions = _WORKERS,
     json: Annotated[bool, Parameter(group=RUNNING)] = False,
     quiet: Annotated[bool, Parameter(group=RUNNING)] = False,
-    threads: Annotated[int | None, Parameter(group=RUNNING, metavar="N", allow_leading_hyphen=True)] = None,
+    threads: Annotated[int | None, whole(group=RUNNING)] = None,
 ) -> None:
     """Tell what a warp in blocks would read and write, without reading a sample.
 

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 from cyclopts import Parameter
 
 from supple.cli.console import current
-from supple.cli.options import VIDEO, VOLUME, Labels, TimeOptions, VolumeArguments
+from supple.cli.options import VIDEO, VOLUME, Labels, TimeOptions, VolumeArguments, whole
 from supple.cli.options_maps import MapOptions
 from supple.cli.options_strokes import StrokeOptions
 from supple.errors import SuppleError
@@ -20,7 +20,7 @@ def view(
     /,
     *,
     serve: bool = False,
-    port: Annotated[int, Parameter(metavar="N", allow_leading_hyphen=True)] = 0,
+    port: Annotated[int, whole()] = 0,
     frame: Annotated[str | None, Parameter(group=VIDEO, metavar="K", allow_leading_hyphen=True)] = None,
     strokes: StrokeOptions = _STROKES,
     maps: MapOptions = _MAPS,

@@ -20,6 +20,7 @@ from supple.cli.options import (
     parse_numbers,
     parse_three,
     read,
+    whole,
 )
 from supple.cli.options_maps import MapOptions, Maps, Reference
 from supple.cli.options_strokes import StrokeOptions
@@ -200,11 +201,11 @@ class LookOptions:
     annotate: bool = False
     legend: bool = False
     background: Annotated[Any, read(_colour, "#RRGGBB")] = None
-    smooth: Annotated[int, Parameter(metavar="N", allow_leading_hyphen=True)] = 1
-    turntable: Annotated[int | None, Parameter(metavar="N", allow_leading_hyphen=True)] = None
+    smooth: Annotated[int, whole()] = 1
+    turntable: Annotated[int | None, whole()] = None
     rate: Annotated[float | None, number("a number of pictures a second", "N")] = None
     what: Literal["picture", "inversions"] = "picture"
-    time: Annotated[int, Parameter(metavar="K", allow_leading_hyphen=True)] = 0
+    time: Annotated[int, whole("K")] = 0
     device: Literal["auto", "cpu", "gpu"] = "cpu"
 
     def to_render(self, camera: Camera, convention: str | None = None) -> RenderOptions:

@@ -319,7 +319,6 @@ def deformation_of(
 
     Points count in the part ``display`` of frames, as in `supple.media.base.Clip`; ``hold`` is as in `ClipOptions`.
     """
-    _refuse_straighten(recipe, name)
     known = recipe.time_scale if time_scale is None else length("time_scale", time_scale)
     worth = 1.0 if known is None else known
     x, y, width, height = display or (0, 0, *shape[::-1])
@@ -334,11 +333,6 @@ def deformation_of(
     if hold:
         recipe = with_ends(recipe, hold, (count, *shape), worth)
     return Deformation.from_recipe(recipe, Grid((count, *shape), (1.0, 1.0, worth), (-x, -y, 0)), time=True)
-
-
-def _refuse_straighten(recipe: Recipe, name: str) -> None:
-    if recipe.straighten is not None:
-        raise SuppleError(f"straightening is for pictures, and {name} is a clip: leave it out")
 
 
 def with_ends(recipe: Recipe, hold: int, shape: tuple[int, ...], worth: float) -> Recipe:
@@ -386,9 +380,10 @@ def deformations_of(
     ``hold`` is as in `ClipOptions`; of frames that are not ``bent``, the deformation may be any.
     """
     count, shape, name = clip.count, clip.layout.shape, clip.name
+    if recipe.straighten is not None:
+        raise SuppleError(f"straightening is for pictures, and {name} is a clip: leave it out")
     if not (recipe.moves or (hold and recipe.strokes and recipe.strokes[0].ndim == 2)):
         return (deformation_of(recipe, count, shape, time_scale, name, fit, clip.display, hold),)
-    _refuse_straighten(recipe, name)
     x, y, *size = clip.display or (0, 0, *shape[::-1])
     fitted = fit_recipe(recipe, size, fit, name).placed((x, y), shape[::-1])
     return motion_of(fitted, count, shape, tell, hold=hold, bent=bent)

@@ -2,12 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any, Protocol
 
 from supple.engine.stream import Frame
 from supple.engine.work import Array, Layout
+
+
+@dataclass(frozen=True, slots=True)
+class LazyFrame:
+    """A frame that is read, or unpacked, where it is copied."""
+
+    copy_to: Callable[[Sequence[Array]], None]
 
 
 class Clip(Protocol):

@@ -8,7 +8,7 @@ import os
 import shutil
 import warnings
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from fractions import Fraction
 from functools import partial
 from pathlib import Path
@@ -21,7 +21,7 @@ from supple.engine.stream import Frame
 from supple.engine.work import Array, Group, Layout
 from supple.errors import SuppleError, argument, shown
 from supple.media import image as pictures
-from supple.media.base import Clip, ClipWarning
+from supple.media.base import Clip, ClipWarning, LazyFrame
 from supple.media.files import PathLike, check_outputs, first_bytes, replacing_all
 from supple.media.image import ImageWarning, MetadataWarning, PageWarning, Picture, exr
 from supple.media.image.formats import DTYPES, SUFFIXES_OUT, divided, is_exr
@@ -30,13 +30,6 @@ from supple.media.image.vips import apart, decoded, opened, reading, sequential,
 from supple.media.numbering import first_number, has_number, matching, numbered, percent, pictures_in, spelling
 
 _WHITE = {"uint8": 255.0, "uint16": 65535.0, "float32": 1.0}
-
-
-@dataclass(frozen=True, slots=True)
-class _Still:
-    """A frame that is read when it is copied, so that only one is in memory."""
-
-    copy_to: Callable[[Sequence[Array]], None]
 
 
 class Pictures:
@@ -87,8 +80,7 @@ class Pictures:
 
     def frames(self) -> Iterator[Frame]:
         """Yield the frames in order; each is read when it is copied."""
-        for path in self.paths:
-            yield _Still(partial(self._read, path))
+        return (LazyFrame(partial(self._read, path)) for path in self.paths)
 
     def _read(self, path: Path, arrays: Sequence[Array]) -> None:
         image, form = opened(path)
@@ -218,7 +210,7 @@ class Animation(Pictures):
             for k in range(self.count):
                 data = apart(partial(region.fetch, 0, k * height, width, height), tall)
                 samples = np.frombuffer(data, np.uint8).reshape(shape)
-                yield _Still(lambda arrays, samples=samples: np.copyto(arrays[0], samples))  # type: ignore[misc]
+                yield LazyFrame(lambda arrays, samples=samples: np.copyto(arrays[0], samples))  # type: ignore[misc]
 
     def _place(self, k: int) -> Path:
         return self._path
@@ -400,10 +392,13 @@ def writer(
     """
     text = os.fspath(target)
     check_target(text)
+    name: Callable[[int], str]
     if only is not None:
-        folder, name = Path(text).parent, _one(text)
+        folder, name = Path(text).parent, lambda _: Path(text).name
     elif has_number(text):
-        folder, name = Path(text).parent, _numbers(clip, text, first)
+        spell = spelling(Path(percent(text)).name, text)
+        start = clip.first if isinstance(clip, Pictures) and clip.first is not None else first
+        folder, name = Path(text).parent, lambda k: spell(start + k)
     else:
         folder, name = Path(text), _mirrored(clip, first)
     listed = [name(k) for k in (range(clip.count) if only is None else (only,))]
@@ -421,17 +416,6 @@ def writer(
         if left and only is None:
             text = f"{shown(folder)} also holds {left} other pictures, which are left as they were"
             warnings.warn(text, ImageWarning, stacklevel=3)
-
-
-def _one(text: str) -> Callable[[int], str]:
-    return lambda _: Path(text).name
-
-
-def _numbers(clip: Clip, text: str, first: int) -> Callable[[int], str]:
-    """Return the names of a pattern, with the numbers of the source, or from the first one."""
-    spell = spelling(Path(percent(text)).name, text)
-    first = clip.first if isinstance(clip, Pictures) and clip.first is not None else first
-    return lambda k: spell(first + k)
 
 
 def _mirrored(clip: Clip, first: int) -> Callable[[int], str]:

@@ -10,8 +10,11 @@ from itertools import pairwise
 from supple.errors import SuppleError
 from supple.space.checks import LARGEST, LONGEST_AXIS, integer, number, point, refuse
 
-_PART = "a number from 0 to 1"
-_FACTOR = "a number from 0.01 to 100"
+_PARTS = (
+    ("strength", "a number from 0 to 1", 0.0, 1.0),
+    ("angle", "a number of degrees", -LARGEST, LARGEST),
+    ("scale", "a number from 0.01 to 100", 0.01, 100.0),
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,12 +48,9 @@ class Key:
             raise SuppleError(f"the key of frame {frame} must have at, strength, angle or scale, and has none")
         if self.at is not None:
             object.__setattr__(self, "at", point("at", self.at, (2,)))
-        if self.strength is not None:
-            object.__setattr__(self, "strength", number("strength", self.strength, _PART, 0.0, 1.0))
-        if self.angle is not None:
-            object.__setattr__(self, "angle", number("angle", self.angle, "a number of degrees", -LARGEST, LARGEST))
-        if self.scale is not None:
-            object.__setattr__(self, "scale", number("scale", self.scale, _FACTOR, 0.01, 100.0))
+        for name, wanted, low, high in _PARTS:
+            if (part := getattr(self, name)) is not None:
+                object.__setattr__(self, name, number(name, part, wanted, low, high))
 
 
 def checked_keys(given: object, ndim: int) -> tuple[Key, ...]:

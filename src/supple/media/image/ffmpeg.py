@@ -80,7 +80,7 @@ def encoded(pixels: Array, codec: str, pixel_format: str, options: Mapping[str, 
     context.width, context.height, context.pix_fmt = width, height, pixel_format
     context.time_base = Fraction(1)
     context.options = dict(options or {})
-    frame = pack([pixels.reshape(height, width, -1)], known, width, height)
+    frame = pack([pixels.reshape(height, width, -1)], known, av.VideoFrame(width, height, pixel_format))
     return b"".join(bytes(packet) for packet in (*context.encode(frame), *context.encode(None)))
 
 

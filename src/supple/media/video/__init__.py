@@ -20,7 +20,7 @@ import av
 import numpy as np
 
 from supple.engine.work import Array
-from supple.media.base import ClipWarning, CountError
+from supple.media.base import ClipWarning, CountError, LazyFrame
 from supple.media.codecs import codec_of
 from supple.media.files import PathLike, unreadable
 from supple.media.video import demux
@@ -39,7 +39,7 @@ from supple.media.video.colour import (
 )
 from supple.media.video.encode import writer
 from supple.media.video.plan import container_of, workers
-from supple.media.video.planes import Form, form, palette, unpack, wider
+from supple.media.video.planes import form, palette, unpack, wider
 from supple.media.video.source import VideoSource
 from supple.media.video.streams import named
 
@@ -47,22 +47,6 @@ _COPY = "give a whole copy of it"
 _LEAST, _UTMOST = Fraction(1, 10_000), Fraction(100_000)
 _FINEST = 1 << 31  # ticks a second
 _MOST = 1000  # frames a second; higher rates are tick counts
-
-
-class DecodedFrame:
-    """A decoded frame of a clip."""
-
-    __slots__ = ("_form", "_frame")
-
-    def __init__(self, frame: av.VideoFrame, form: Form) -> None:
-        self._frame, self._form = frame, form
-
-    def copy_to(self, arrays: Sequence[Array]) -> None:
-        """Copy the samples into one array for each group of the clip's layout."""
-        if self._frame.format.has_palette:
-            arrays[0][:] = palette(self._frame)[..., : arrays[0].shape[-1]]
-        else:
-            unpack(self._frame, self._form, arrays)
 
 
 class Clip(VideoSource):
@@ -79,9 +63,14 @@ class Clip(VideoSource):
         self._packets: deque[av.Packet[Any] | None] = deque()
         self._fresh = True
         self._index: tuple[demux.Index | None] | None = None
+        self._sturdy = count is not None
         with demux.opened(path) as container:
-            counted = demux.survey(container, demux.chosen(container, path))
-        self._sturdy = count is not None or counted.suspect
+            film = demux.chosen(container, path)
+            self.codec = film.codec_context.codec.canonical_name
+            counted, first = demux.survey(container, film, self._decoder(film, 1))
+        if first is None:
+            raise unreadable(path, "no frame of it can be decoded", _COPY)
+        self._sturdy |= counted.suspect
         self.path, self.survey, self.source = path, counted, demux.opened(path)
         self.count = counted.count if count is None else count
         try:
@@ -89,7 +78,7 @@ class Clip(VideoSource):
             super().__init__(shown(path), _rate(film, counted), film.time_base or Fraction(1, 1000))
             self._lasting(demux.delays_of(self.source))
             self._read_facts(film)
-            self._look(self._first())
+            self._look(first)
         except BaseException:
             self.source.close()
             raise
@@ -109,7 +98,7 @@ class Clip(VideoSource):
     def _read_facts(self, film: av.VideoStream) -> None:
         self.index = film.index
         context = film.codec_context
-        self.codec, self.lossless = context.codec.canonical_name, context.codec.lossless and not context.codec.lossy
+        self.lossless = context.codec.lossless and not context.codec.lossy
         self.tags, self.disposition = dict(film.metadata), film.disposition
         self.field_order, self.profile = context.field_order, context.profile or ""
         tagged = [film, *(stream for stream in self.source.streams if stream.type == "data"), self.source]
@@ -156,16 +145,6 @@ class Clip(VideoSource):
         layout = found.kind.layout(frame.width, frame.height, offset)
         self.layout = replace(layout, black=black(found, self.colour))
 
-    def _first(self) -> av.VideoFrame:
-        """Decode one frame, from a container of its own."""
-        with demux.opened(self.path) as container:
-            film = demux.chosen(container, self.path)
-            decoder = self._decoder(film, 1)
-            for packet in demux.fed(demux.packets(container, [film])):
-                for frame in demux.decoded_by(decoder, packet) or ():
-                    return frame
-        raise unreadable(self.path, "no frame of it can be decoded", _COPY)
-
     def _decoder(self, film: av.VideoStream, count: int) -> av.VideoCodecContext:
         context = film.codec_context
         if (other := codec_of(self.codec).opacity) and said_of(film, "alpha_mode") == "1":
@@ -197,7 +176,7 @@ class Clip(VideoSource):
         """Return the packet that frame `k` alone was decoded from, once, in order; None if there is none."""
         return self._packets.popleft() if self._packets else None
 
-    def frames(self) -> Iterator[DecodedFrame]:
+    def frames(self) -> Iterator[LazyFrame]:
         """Decode all frames in display order, once; while a writer is open, packets of other streams go to it.
 
         SuppleError if a frame has another size or pixel format than the first; CountError if there are more or fewer
@@ -248,7 +227,7 @@ class Clip(VideoSource):
                     if copies:
                         made_of = sent.pop(frame.pts, None)
                         self._packets.append(None if frame.is_corrupt else made_of)
-                    yield DecodedFrame(self._readable(frame), self.form)
+                    yield self._lazy(frame)
         if found == 0:
             raise unreadable(self.path, "no frame of it can be decoded", _COPY)
         if found != self.count:
@@ -266,7 +245,7 @@ class Clip(VideoSource):
         known = self._index[0]
         return 0 if known is None else known.before(k)
 
-    def frames_from(self, k: int) -> Iterator[tuple[int, DecodedFrame]]:
+    def frames_from(self, k: int) -> Iterator[tuple[int, LazyFrame]]:
         """Decode from frame `k` on, beginning at the key frame before it; yield frames with their numbers.
 
         If the frames do not match the index, it decodes from the start.
@@ -289,13 +268,13 @@ class Clip(VideoSource):
             if number >= due:
                 yield number, picture
 
-    def _sought(self, start: int) -> Iterator[tuple[int | None, DecodedFrame]]:
+    def _sought(self, start: int) -> Iterator[tuple[int | None, LazyFrame]]:
         """Decode from a key frame on, in a container of its own; yield nothing if it is not found there."""
         with demux.opened(self.path) as container, contextlib.suppress(av.FFmpegError):
             film = demux.chosen(container, self.path)
             container.seek(start, stream=film)
             decoder, fresh = self._decoder(film, self._threads), True
-            for packet in demux.fed(demux.packets(container, [film])):
+            for packet in itertools.chain(demux.packets(container, [film]), [None]):
                 if fresh and (packet is None or not packet.is_keyframe or packet.pts != start):
                     return
                 fresh = False
@@ -304,7 +283,7 @@ class Clip(VideoSource):
                     return
                 for frame in decoded:
                     self._check(frame, 0, ())
-                    yield frame.pts, DecodedFrame(self._readable(frame), self.form)
+                    yield frame.pts, self._lazy(frame)
 
     def _film_packets(self, index: int) -> Iterator[av.Packet[Any] | None]:
         """Yield the packets of the film, then None; pass those of other streams to the writer."""
@@ -339,10 +318,12 @@ class Clip(VideoSource):
         what = f"frame {k} is {now}, and frame 0 is {first}"
         raise unreadable(self.path, what, "cut it where it changes, and warp the parts")
 
-    def _readable(self, frame: av.VideoFrame) -> av.VideoFrame:
-        if frame.format.has_palette or frame.format.name == self.form.name:
-            return frame
-        return frame.reformat(format=self.form.name, src_color_range=2, dst_color_range=2)
+    def _lazy(self, frame: av.VideoFrame) -> LazyFrame:
+        if frame.format.has_palette:
+            return LazyFrame(lambda arrays: np.copyto(arrays[0], palette(frame)[..., : arrays[0].shape[-1]]))
+        if frame.format.name != self.form.name:
+            frame = frame.reformat(format=self.form.name, src_color_range=2, dst_color_range=2)
+        return LazyFrame(lambda arrays: unpack(frame, self.form, arrays))
 
     @property
     def unpictured(self) -> tuple[str, ...]:

@@ -188,7 +188,7 @@ def recast(
         "out_chroma_loc": meant.site or "left",
         "flags": _FLAGS,
     }
-    frame = pack(arrays, staging, width, height)
+    frame = pack(arrays, staging, av.VideoFrame(width, height, staging.name))
     scale = ":".join(f"{key}={value}" for key, value in settings.items())  # unlike `reformat`, with the chroma siting
     made = filtered(frame, ("scale", scale), ("format", f"pix_fmts={target.name}"))
     assert made is not None
@@ -200,12 +200,9 @@ def filtered(frame: av.VideoFrame, *filters: tuple[str, str]) -> av.VideoFrame |
     """Return a frame that has passed filters, each with its arguments; None if they drop it."""
     graph = Graph()
     frame.pts, frame.time_base = 0, Fraction(1, 25)
-    last = graph.add_buffer(width=frame.width, height=frame.height, format=frame.format, time_base=frame.time_base)
-    for name, arguments in (*filters, ("buffersink", "")):
-        added = graph.add(name, arguments or None)
-        last.link_to(added)
-        last = added
-    graph.configure()
+    first = graph.add_buffer(width=frame.width, height=frame.height, format=frame.format, time_base=frame.time_base)
+    rest = (graph.add(name, arguments or None) for name, arguments in (*filters, ("buffersink", "")))
+    graph.link_nodes(first, *rest).configure()
     graph.vpush(frame)
     try:
         return graph.vpull()

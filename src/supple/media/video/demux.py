@@ -144,8 +144,10 @@ def is_counted(container: av.container.InputContainer) -> bool:
     return container.format.name == "avi"
 
 
-def survey(container: av.container.InputContainer, film: av.VideoStream) -> Survey:
-    """Count the frames of a film by its packets."""
+def survey(
+    container: av.container.InputContainer, film: av.VideoStream, decoder: av.VideoCodecContext
+) -> tuple[Survey, av.VideoFrame | None]:
+    """Count the frames of a film by its packets; return the first that is decoded, too."""
     _attend(container, [film])
     hidden = film.codec_context.codec.canonical_name == "vp8"
     packets = count = 0
@@ -153,10 +155,12 @@ def survey(container: av.container.InputContainer, film: av.VideoStream) -> Surv
     step = total = 0
     damaged = suspect = False
     starts: list[int] = []
+    decoded: list[av.VideoFrame] = []
     try:
         for packet in container.demux(film):
             if not packet.size:
                 continue
+            decoded = decoded or decoded_by(decoder, packet) or []
             packets += 1
             suspect |= packet.is_corrupt
             if packet.is_discard or (hidden and not memoryview(packet)[0] & 16):
@@ -191,7 +195,8 @@ def survey(container: av.container.InputContainer, film: av.VideoStream) -> Surv
     varies = len(steps) > 1 and max(steps) - min(steps) > max(2, sorted(steps)[len(steps) // 2] / 10)
     seconds = tuple(float((start - starts[0]) * base) for start in starts) if varies else ()
     broken = damaged or cut
-    return Survey(packets, count, span, broken, suspect or broken, varies, seconds, max(0, missing) if broken else 0)
+    found = Survey(packets, count, span, broken, suspect or broken, varies, seconds, max(0, missing) if broken else 0)
+    return found, next(iter(decoded or decoded_by(decoder, None) or ()), None)
 
 
 def sums_up(container: av.container.InputContainer) -> bool:
@@ -245,12 +250,6 @@ def packets(container: av.container.InputContainer, streams: list[av.stream.Stre
             if packet.size or packet.pts is not None:
                 clock.set(packet, packet.stream.type in ("audio", "video"))
                 yield packet
-
-
-def fed(stream: Iterator[av.Packet[Any]]) -> Iterator[av.Packet[Any] | None]:
-    """Yield packets, then None, which flushes a decoder."""
-    yield from stream
-    yield None
 
 
 def decoded_by(decoder: av.VideoCodecContext, packet: av.Packet[Any] | None) -> list[av.VideoFrame] | None:

@@ -39,12 +39,9 @@ class Palettes:
         palette = self._graph.add("palettegen", "stats_mode=single")
         use = self._graph.add("paletteuse", "new=1")
         sink = self._graph.add("buffersink")
-        source.link_to(split)
-        split.link_to(use, 0, 0)
         split.link_to(palette, 1, 0)
         palette.link_to(use, 0, 1)
-        use.link_to(sink)
-        self._graph.configure()
+        self._graph.link_nodes(source, split, use, sink).configure()
 
     def add(self, frame: av.VideoFrame | None) -> Iterator[av.VideoFrame]:
         """Filter a frame, and yield the finished frames; after None, the remaining ones."""
@@ -68,6 +65,7 @@ class Sink:
         self._written = 0
         self.copied = 0  # frames copied as packets of the source
         self._due: dict[int, av.Packet[Any] | None] = {}  # packets in order; None while a frame is encoded
+        self._blank = av.VideoFrame(video.width, video.height, plan.match.form.name)  # memory that is used again
         self._halved = False  # whether partial opacity has occurred
         self._drift, self._origin = Fraction(0), Fraction(0)  # largest error of a time, and first time, in seconds
         self._tick: int | None = None
@@ -139,7 +137,7 @@ class Sink:
             if still and packet is not None:
                 self.copied += 1
                 if not busy:
-                    self._pass_on()
+                    self._mux([])
                     return
                 # Otherwise it is encoded too, to flush delayed frames of the encoder.
         frame = self._frame(arrays)
@@ -164,7 +162,7 @@ class Sink:
                 self._plan.depth = ""
         if not chosen.same:
             return self._fielded(recast(arrays, video.form, colour, chosen.form, self._plan.colour, shape))
-        frame = pack(arrays, chosen.form, video.width, video.height)
+        frame = pack(arrays, chosen.form, self._blank)
         chosen.colour.mark(frame)
         return self._fielded(frame)
 
@@ -214,8 +212,11 @@ class Sink:
         self._span = (self._span[0] if k else pts, pts + duration)
         return stamp
 
-    def _pass_on(self, made: Sequence[av.Packet[Any]] = (), last: bool = False) -> None:
+    def _mux(self, made: list[av.Packet[Any]], last: bool = False) -> None:
         """Write packets in the order of their frames: those of the encoder, and those of the source."""
+        if not self.copies:
+            self._write(made, last)
+            return
         for packet in made:
             stamp = packet.pts
             if stamp is not None and self._due.get(stamp, packet) is None:
@@ -228,12 +229,6 @@ class Sink:
             due.pts = due.dts = stamp
             ready.append(due)
         self._write(ready, last)
-
-    def _mux(self, packets: list[av.Packet[Any]], last: bool = False) -> None:
-        if self.copies:
-            self._pass_on(packets, last)
-        else:
-            self._write(packets, last)
 
     def _write(self, packets: list[av.Packet[Any]], last: bool) -> None:
         plan = self._plan

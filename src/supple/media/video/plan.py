@@ -89,10 +89,8 @@ def _named(target: PathLike, container: Container, codec: str | None, source: st
     """
     held, usable = _held(container), _usable(container)
     if codec is not None:
-        advice, asked = (
-            f"use {_exact_in(container) if exact else ', '.join(usable)}",
-            ALIASES.get(codec.lower(), codec.lower()),
-        )
+        advice = f"use {_exact_in(container) if exact else ', '.join(usable)}"
+        asked = ALIASES.get(codec.lower(), codec.lower())
         encoder = _found(codec_of(asked).encoder or asked)
         if encoder is None:
             raise unwritable(target, f"no video encoder is called {shown(codec)}", advice)

@@ -186,15 +186,15 @@ def _averaged(alpha: Array, kind: Kind) -> Array:
     return mean
 
 
-def pack(arrays: Sequence[Array], form: Form, width: int, height: int) -> av.VideoFrame:
-    """Return a frame of the samples in arrays, one for each group."""
-    frame = av.VideoFrame(width, height, form.name)
+def pack(arrays: Sequence[Array], form: Form, frame: av.VideoFrame) -> av.VideoFrame:
+    """Fill a frame, which an encoder may still use, with the samples in arrays, one for each group; return it."""
+    frame.make_writable()
     whole = _whole(frame, form)
     if whole is not None and not form.shift:
         whole[:] = arrays[0]
         return frame
     if len(form.places) < abs(form.places[0].step) and form.kind.step == (1, 1):
-        _samples(frame.planes[0], height, form.item)[:] = 0  # the padding beside the components
+        _samples(frame.planes[0], frame.height, form.item)[:] = 0  # the padding beside the components
     for view, slot in zip(_views(frame, form), _slots(arrays, form.kind), strict=True):
         if form.shift:
             np.left_shift(slot, form.shift, out=view)
