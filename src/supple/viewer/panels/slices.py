@@ -16,7 +16,7 @@ from supple.deformation import Deformation
 from supple.engine.sampling import Sampling
 from supple.files.volumes import sampling_of
 from supple.gpu.device import Gpu
-from supple.gpu.screen import Screen
+from supple.gpu.screen import ALL, Screen
 from supple.media.volume import Volume
 from supple.media.volume.data import rescaled
 from supple.render.labels import LabelColours
@@ -150,6 +150,7 @@ class Slices:
                 0.0,
                 0.0,
                 rows / box[3],
+                *ALL[6:],
             )
             second = self._textures[k, True][0] if tools.split is not None else None
             cut = (view[0] + (tools.split or 0.0) * view[2] - low[0]) / columns
