@@ -557,7 +557,7 @@ class TestAmounts:
         document = tools.document
         document.begin_drag()
         for part in (0.5, 1.7, -1.0):
-            assert document.preview_amount(part)
+            assert document.preview_rest(amount=part)
             np.testing.assert_allclose(
                 document.deformation.forward((100, 50)), (100 + 20 * part, 50 + 15 * part), atol=1e-6
             )
@@ -567,7 +567,7 @@ class TestAmounts:
         document.undo()
         assert document.recipe.amount == 1
         document.begin_drag()
-        document.preview_amount(1.5)
+        document.preview_rest(amount=1.5)
         document.abandon()
         assert document.recipe.amount == 1
 
@@ -576,7 +576,7 @@ class TestAmounts:
         tools = image(Stroke.grab((100, 50), by=(10, 5), radius=30))
         document = tools.document
         document.begin_drag()
-        document.preview_amount(part)
+        document.preview_rest(amount=part)
         document.commit()
         press(tools, "g")
         drag(tools, (401, 201), (421, 211))

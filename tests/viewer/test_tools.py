@@ -13,7 +13,7 @@ import pytest
 from supple.strokes import Stroke
 from supple.viewer.tools.brushes import ImageTools, VideoTools
 from supple.viewer.tools.gestures import Tools
-from supple.viewer.tools.keys import KEYS
+from supple.viewer.tools.keys import BRUSHES, KEYS
 from supple.viewer.tools.volumes import VolumeTools
 from tests.viewer.tools import LEFT, MIDDLE, RIGHT, clip, down, image, move, press, solid, up, wheel
 
@@ -140,7 +140,15 @@ def test_all_keys_are_listed(make: Make, kind: str) -> None:
     listed = {word for keys in rows if "Ctrl" not in keys for word in re.split("[ ,]+", keys)}
     for key in (*string.printable, *NAMED):
         spoken = SPOKEN.get(key, key.upper() if len(key) == 1 else key)
-        assert press(make(), key) == (spoken in listed), key
+        tools = make()
+        acts = press(tools, key)
+        # Of a tool that is for other media, it is said.
+        assert (acts and "is for pictures" not in (tools.status or "")) == (spoken in listed), key
+    said = {"level": "level is for pictures", "push": "push is for pictures and clips"}
+    for name in ("level", "push"):
+        tools = make()
+        press(tools, BRUSHES[name][0])  # type: ignore[index]
+        assert tools.status == (said[name] if name in tools.lacks else None)
 
 
 def test_the_list_of_keys_is_shown_and_hidden() -> None:

@@ -45,18 +45,26 @@ class TestViewport:
         shown = np.array(upright.shape[::-1]) * sides
         assert view.fit().zoom == pytest.approx(min(900 / shown[0], 700 / shown[1]))
 
+    @pytest.mark.parametrize("vanishing", [(0.0, 0.0), (4e-4, -9e-4)])
     @pytest.mark.parametrize("turn", TURNS)
-    def test_what_is_drawn_covers_the_canvas_to_the_pixel(self, turn: Turn) -> None:
+    def test_what_is_drawn_covers_the_canvas_to_the_pixel(self, turn: Turn, vanishing: tuple[float, float]) -> None:
         size, ratio = (1203, 901), 1.5
-        fitting = Viewport((641, 480), (size[0] / ratio, size[1] / ratio), ratio, turn)
+        sides = size[0] / ratio, size[1] / ratio
+        fitting = Viewport((641, 480), sides, ratio, turn, vanishing=vanishing)
         for view in (fitting, fitting.actual(), fitting.zoom_about(10, 20, 5).pan(3, 4)):
             origin, scale, count, part = view.drawn(size, ratio)
-            corner, across, down = np.array(part).reshape(3, 2)
-            for place in [(0.5, 0.5), (1202.5, 900.5), (17.5, 400.5)]:
+            corner, across, down, depths = np.split(np.array(part), (2, 4, 6))
+            for place in [(0.5, 0.5), (1202.5, 900.5), (17.5, 400.5), (600.5, 450.5)]:
                 within = corner + across * place[0] / size[0] + down * place[1] / size[1]
+                depth = depths @ (1.0, place[0] / size[0], place[1] / size[1])
+                within = within / depth
+                if any(vanishing) and not (depth > 2e-3 and view.holds(*view.to_image(*np.divide(place, ratio)))):
+                    continue
                 assert ((within * count > 0.499) & (within * count < np.array(count) - 0.499)).all()
                 point = np.array(origin) + (within * count - 0.5) * scale
                 np.testing.assert_allclose(point, view.to_image(place[0] / ratio, place[1] / ratio), atol=1e-6)
+            if any(vanishing):
+                continue
             assert scale <= 1 / (view.zoom * ratio * max(view.stretch)) * (1 + 1e-9)
             if view.stretch == (1, 1):
                 assert count == (size if turn[0] else size[::-1])
@@ -66,13 +74,19 @@ class TestViewport:
         view = Viewport((640, 480), (1000, 700), turn=turn_of(0, aspect))
         assert max(view.drawn((1000, 700), 1.0)[2]) <= 8192
 
+    @pytest.mark.parametrize("vanishing", [(0.0, 0.0), (4e-4, -9e-4)])
     @pytest.mark.parametrize("turn", TURNS)
-    def test_turned_images_zoom_and_pan_with_the_pointer(self, turn: Turn) -> None:
-        view = Viewport((640, 480), (1000, 700), 1.0, turn)
+    def test_turned_images_zoom_and_pan_with_the_pointer(self, turn: Turn, vanishing: tuple[float, float]) -> None:
+        view = Viewport((640, 480), (1000, 700), 1.0, turn, vanishing=vanishing)
         point = view.to_image(480, 330)
         view = view.zoom_about(480, 330, 2.5)
         assert view.to_image(480, 330) == pytest.approx(point)
         assert view.pan(30, -7).to_canvas(*point) == pytest.approx((510, 323))
+        x, y, w = np.array(view.matrix) @ (*point, 1.0)
+        assert (x / w, y / w) == pytest.approx((480, 330))
+        assert view.fit().to_canvas(319.5, 239.5) == pytest.approx((500, 350))
+        ends = [view.fit().to_canvas(x, y) for x in (-0.5, 639.5) for y in (-0.5, 479.5)]
+        assert (np.ptp(ends, axis=0) <= np.array((1000, 700)) + 1e-6).all()
 
     def test_fits(self) -> None:
         view = Viewport((200, 100), (800, 600))

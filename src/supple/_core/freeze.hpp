@@ -34,9 +34,10 @@ struct Freed {
 };
 
 // The weights of the four coefficients around a part of the way from the second to the third, and their derivatives.
-template <int ORDER>
-INLINE void spline_weights(double t, double per_step, double (*w)[4]) {
-    const double s = 1 - t, sixth = 1.0 / 6;
+template <int ORDER, class V>
+INLINE void spline_weights(V t, double per_step, V (*w)[4]) {
+    const V s = 1 - t;
+    const double sixth = 1.0 / 6;
     w[0][0] = sixth * s * s * s;
     w[0][1] = sixth * (4 - 3 * t * t * (2 - t));
     w[0][2] = sixth * (4 - 3 * s * s * (2 - s));
@@ -57,29 +58,33 @@ INLINE void spline_weights(double t, double per_step, double (*w)[4]) {
     }
 }
 
-// In the cell `at`, at its `part`; [n][k] of the sums: the n-th derivative along x, of the k-th along y and so on.
-template <int D, int ORDER>
-NOINLINE void freed_in(const Freeze& f, const int* at, const double* part, double& m, double* slope,
-                       double (*bend)[D]) {
-    double w[D][3][4];
+// In the cells `at` of some points, at their `part`; [n][k] of the sums: the n-th derivative along x, of the k-th along
+// y and so on.
+template <int D, int ORDER, class V>
+NOINLINE void freed_in(const Freeze& f, const int (*at)[D], const V* part, V& m, V* slope, V (*bend)[D]) {
+    V w[D][3][4];
     for (int d = 0; d < D; d++) spline_weights<ORDER>(part[d], f.per_step[d], w[d]);
-    double sums[ORDER + 1][ORDER + 1][ORDER + 1] = {};  // by the derivatives along z, y and x
+    V sums[ORDER + 1][ORDER + 1][ORDER + 1] = {};  // by the derivatives along z, y and x
     const int deep = D == 3 && f.size[2] > 1 ? 4 : 1;
     for (int k = 0; k < deep; k++) {
-        double plane[ORDER + 1][ORDER + 1] = {};
+        V plane[ORDER + 1][ORDER + 1] = {};
         for (int j = 0; j < 4; j++) {
-            const int z = deep > 1 ? at[D - 1] - 1 + k : 0, y = f.size[1] > 1 ? at[1] - 1 + j : 0;
-            const float* row = f.values + ((int64_t)z * f.size[1] + y) * f.size[0];
+            V row[4] = {};
+            for (int l = 0; l < Masked<V>::lanes; l++) {
+                const int z = deep > 1 ? at[l][D - 1] - 1 + k : 0, y = f.size[1] > 1 ? at[l][1] - 1 + j : 0;
+                const float* from = f.values + ((int64_t)z * f.size[1] + y) * f.size[0];
+                for (int i = 0; i < 4; i++) set_lane(row[i], l, from[f.size[0] > 1 ? at[l][0] - 1 + i : 0]);
+            }
             for (int n = 0; n <= ORDER; n++) {
-                double sum = 0;
-                for (int i = 0; i < 4; i++) sum += w[0][n][i] * row[f.size[0] > 1 ? at[0] - 1 + i : 0];
+                V sum = {};
+                for (int i = 0; i < 4; i++) sum += w[0][n][i] * row[i];
                 for (int o = 0; o + n <= ORDER; o++) plane[o][n] += w[1][o][j] * sum;
             }
         }
         for (int p = 0; p <= ORDER; p++)
             for (int o = 0; o + p <= ORDER; o++)
                 for (int n = 0; n + o + p <= ORDER; n++)
-                    sums[p][o][n] += (deep > 1 ? w[D - 1][p][k] : p == 0 ? 1.0 : 0.0) * plane[o][n];
+                    sums[p][o][n] += (deep > 1 ? w[D - 1][p][k] : splat<V>(p == 0)) * plane[o][n];
     }
     m = sums[0][0][0];
     for (int d = 0; d < D && ORDER > 0; d++) slope[d] = sums[d == 2][d == 1][d == 0];
@@ -90,27 +95,29 @@ NOINLINE void freed_in(const Freeze& f, const int* at, const double* part, doubl
 template <int D, int ORDER, class V>
 INLINE Freed<D, ORDER, V> freed(const Freeze& f, const V* x) {
     Freed<D, ORDER, V> found{};
-    for (int l = 0; l < Masked<V>::lanes; l++) {
-        int at[D];
-        double part[D];
+    constexpr int N = Masked<V>::lanes;
+    int at[N][D], varying = 0;
+    V part[D] = {}, level{}, calm{};
+    for (int l = 0; l < N; l++) {
         int64_t cell = 0;
         for (int d = D - 1; d >= 0; d--) {
-            at[d] = cell_of(f, d, lane(x[d], l), part[d]);
-            cell = cell * f.size[d] + at[d];
+            double along;
+            at[l][d] = cell_of(f, d, lane(x[d], l), along);
+            set_lane(part[d], l, along);
+            cell = cell * f.size[d] + at[l][d];
         }
-        const int calm = f.calm[cell];
-        set_lane(found.smooth, l, 4.0 + calm);
-        if (calm) {
-            set_lane(found.m, l, f.values[cell]);
-            continue;
-        }
-        double m, slope[D], bend[D][D];
-        freed_in<D, ORDER>(f, at, part, m, slope, bend);
-        set_lane(found.m, l, m);
-        for (int d = 0; d < D && ORDER > 0; d++) set_lane(found.slope[d], l, slope[d]);
-        for (int d = 0; d < D && ORDER > 1; d++)
-            for (int e = 0; e < D; e++) set_lane(found.bend[d][e], l, bend[d][e]);
+        set_lane(calm, l, f.calm[cell]);
+        set_lane(level, l, f.values[cell]);
+        varying += !f.calm[cell];
     }
+    found.smooth = 4.0 + calm;
+    if (varying) freed_in<D, ORDER>(f, at, part, found.m, found.slope, found.bend);
+    if (varying == N) return found;
+    const auto constant = calm > 0.5;
+    found.m = choose(constant, level, found.m);
+    for (int d = 0; d < D && ORDER > 0; d++) found.slope[d] = choose(constant, V{}, found.slope[d]);
+    for (int d = 0; d < D && ORDER > 1; d++)
+        for (int e = 0; e < D; e++) found.bend[d][e] = choose(constant, V{}, found.bend[d][e]);
     return found;
 }
 

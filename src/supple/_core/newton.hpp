@@ -305,9 +305,10 @@ struct Solved {
 enum class Guess { NONE, POINT, PATCH };  // of a node: nothing; p; p and its derivatives
 
 // Solve T(p) = q at a node, from a guess in `found`; `finest` is the least spacing, and `tolerance` is in pixels.
+// `twice`: whether a step from a patch that was too long is worth a second one, from where it led.
 template <int D, class V>
 INLINE Solved<D, V> solved(const Chain& chain, const Axis* axes, const V* q, double finest, double tolerance,
-                           Guess guess, Solution<D, V> found) {
+                           Guess guess, Solution<D, V> found, bool twice = false) {
     typedef typename Masked<V>::type M;
     // A step that short is applied, and another after it: the error left is of the order of its fourth power.
     const double enough = finest * least(0.02, 0.2 * root(tolerance));
@@ -327,6 +328,8 @@ INLINE Solved<D, V> solved(const Chain& chain, const Axis* axes, const V* q, dou
     Solved<D, V> known{found, {}, {}};
     // Of a step a fourth as long, the square is left.
     if (guess == Guess::PATCH) known = polished(found, enough / 4);
+    if (twice && guess == Guess::PATCH && any(without(all, known.at.done)))
+        known = merged(known, polished(known.at, enough / 4));
     if (any(without(all, known.at.done))) {
         if (guess != Guess::NONE) newton<D>(chain, axes, q, enough, 12, found, STEEP * enough);
         if (any(without(all, found.done))) {

@@ -340,7 +340,7 @@ void Plan<D>::solve(Work& w, Guess guess) {
             continue;
         }
         const Chain chain = chain_of(w, [&](int i) { return ask(i).root; });
-        const Solved<D, Lanes> known = solved<D>(chain, axes, q, finest, tolerance, guess, found);
+        const Solved<D, Lanes> known = solved<D>(chain, axes, q, finest, tolerance, guess, found, freeze != nullptr);
         keep(w, known.at, known.mixed, known.smooth2, start);
     }
     w.asks.clear();
@@ -605,7 +605,7 @@ void Plan<D>::split(Work& w, const Cell& e, const Checked& found) {
     const bool down = high > 1 && (found.too_high || !(found.too_wide && wide > 1));
     int xs[SMALL + 1], ys[SMALL + 1], node[SMALL + 1][SMALL + 1];
     auto cuts = [&](int from, int to, bool cut, int* at) {
-        int n = !cut ? 1 : to - from <= SMALL ? to - from : 2;
+        int n = !cut ? 1 : to - from <= (freeze ? BESIDE_FROZEN : SMALL) ? to - from : 2;
         for (int i = 0; i <= n; i++) at[i] = from + (to - from) * i / n;
         return n;
     };

@@ -11,9 +11,12 @@ from supple.gpu.device import Gpu
 from supple.gpu.memory import Bound, Kept
 from supple.gpu.shader import module, source
 
-Part = tuple[float, float, float, float, float, float]
-"""A part of a texture, in fractions of it: x and y of its first corner on screen, of its side across, and down."""
-ALL: Part = (0.0, 0.0, 1.0, 0.0, 0.0, 1.0)
+Part = tuple[float, float, float, float, float, float, float, float, float]
+"""A part of a texture, in fractions of it: x and y of its first corner on screen, of its side across, and down.
+
+The rest is what these are divided by, in perspective: in the corner, and its changes across and down.
+"""
+ALL: Part = (0.0, 0.0, 1.0, 0.0, 0.0, 1.0, 1.0, 0.0, 0.0)
 
 PLAIN = "rgba8unorm"
 
@@ -83,7 +86,9 @@ class Screen:
         The place on the surface is its left, top, columns and rows; by default, all of it.
         """
         split = split if second is not None else -1.0
-        values = self._module.values({"sides": part[2:], "corner": part[:2], "linear": self._linear, "split": split})
+        values = self._module.values(
+            {"sides": part[2:6], "corner": part[:2], "depth": part[6:], "linear": self._linear, "split": split}
+        )
         given = {"settings": self._settings.hold(values), "first": first, "second": second or first}
         drawing.set_pipeline(self._pipelines[second is not None])
         if place is not None:

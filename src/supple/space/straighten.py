@@ -145,6 +145,16 @@ class Straighten:
         x, y = (math.tan(math.radians(a)) for a in self.shear)
         return np.asarray(np.array([[1.0, x], [y, 1.0]]) @ np.array([[c, -s], [s, c]]))
 
+    def seen(self, sizes: tuple[int, ...]) -> tuple[Floats, Floats]:
+        """Return how a picture of a width and a height is shown about its middle: a matrix (2, 2), and what vanishes.
+
+        A displacement d from the middle is shown as matrix · d / (1 + vanishing · d).
+        """
+        middle = (np.array(sizes) - 1) / 2
+        matrix = self._push(middle)
+        x, y, w = matrix @ (*middle, 1.0)
+        return (matrix[:2, :2] - np.outer((x / w, y / w), matrix[2, :2])) / w, matrix[2, :2] / w
+
     def levelled(self, one: Sequence[float], other: Sequence[float]) -> Self:
         """Return the same with the turn that makes a line between two points of the picture level, or upright."""
         flat = replace(self, rotate=0.0, shear=(0.0, 0.0))

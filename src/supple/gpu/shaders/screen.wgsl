@@ -2,9 +2,10 @@
 
 struct Settings {
     sides: vec4f, // of the visible part of the textures: from one end to the other of the screen, across and down
+    depth: vec3f, // what is divided by: in that corner, and its changes across and down
+    linear: u32, // true if the screen takes linear light
     corner: vec2f, // and its upper left corner on the screen
     split: f32, // the right edge of the second texture, from 0 to 1
-    linear: u32, // true if the screen takes linear light
 }
 
 const LINE: f32 = 0.001; // half the width of the line between them
@@ -29,7 +30,8 @@ fn corner(@builtin(vertex_index) k: u32) -> Corner {
 
 @fragment
 fn shown(corner: Corner) -> @location(0) vec4f {
-    let at = settings.corner + settings.sides.xy * corner.at.x + settings.sides.zw * corner.at.y;
+    let depth = max(settings.depth.x + dot(settings.depth.yz, corner.at), 1e-3); // nothing lies beyond a horizon
+    let at = (settings.corner + settings.sides.xy * corner.at.x + settings.sides.zw * corner.at.y) / depth;
     var v = textureSampleLevel(first, smooth_, at, 0.0).xyz;
     if (SPLIT) {
         let other = textureSampleLevel(second, smooth_, at, 0.0).xyz;

@@ -6,7 +6,7 @@ import contextlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from operator import attrgetter
-from typing import Literal, Self
+from typing import Any, Literal, Self
 
 import numpy as np
 
@@ -414,10 +414,10 @@ class Document:
             state = replace(state, strokes=(*state.strokes, item))
         self._edit(state)
 
-    def preview_amount(self, amount: float) -> bool:
-        """Show all strokes at another amount, as the current drag; as `preview` does."""
+    def preview_rest(self, **options: Any) -> bool:
+        """Show other options of the recipe, as the amount, as the current drag; as `preview` does."""
         before, _ = self._dragged()
-        return self._tried(replace(before.state, rest=replace(before.state.rest, amount=amount)))
+        return self._tried(replace(before.state, rest=replace(before.state.rest, **options)))
 
     def set_straighten(self, straighten: Straighten | None) -> None:
         """Set how a picture is straightened; what changes nothing is none."""

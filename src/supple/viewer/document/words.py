@@ -44,10 +44,10 @@ def named(stroke: Stroke) -> str:
     return "Path" if stroke.path else stroke.brush.capitalize()
 
 
-def listed(stroke: Stroke, unit: str = "") -> str:
-    """Return a stroke in a line of a list; its points are in a unit, if that is said."""
+def listed(stroke: Stroke, unit: str = "", before: Freeze | None = None) -> str:
+    """Return a stroke in a line of a list; its points are in a unit, if that is said; a freeze beside the mask before."""
     if stroke.brush == "freeze":
-        return _held(stroke)
+        return _held(stroke, before)
     if stroke.is_whole and stroke.name not in PAINTINGS:
         return named(stroke)
     said = f"{named(stroke)} {place(stroke.at)}{unit}"
@@ -55,7 +55,12 @@ def listed(stroke: Stroke, unit: str = "") -> str:
         said += f" {stroke.angle:.3g}\u00b0"
     elif stroke.factor is not None:
         said += f" \u00d7{stroke.factor:.3g}"
-    return f"{said}, radius {stroke.radius:.3g}"
+    return f"{said}, radius {brush_radius(stroke):.3g}"
+
+
+def brush_radius(stroke: Stroke) -> float:
+    """Return the radius of the brush that made a stroke: the points of a restoring one lie half of that apart."""
+    return stroke.radius * (2 if stroke.name in ("restore", "smooth") else 1)
 
 
 def done(stroke: Stroke, digits: int = 0) -> str:
@@ -70,9 +75,11 @@ def done(stroke: Stroke, digits: int = 0) -> str:
     return said if stroke.axis is None else f"{said}, axis ({', '.join(f'{v:.3g}' for v in stroke.axis)})"
 
 
-def _held(stroke: Stroke) -> str:
-    """Return what a freeze does."""
-    return named(stroke) if stroke.matte is None or stroke.matte.is_free else f"Freeze: {frozen(stroke.matte)}"
+def _held(stroke: Stroke, before: Freeze | None = None) -> str:
+    """Return what a freeze does, beside the mask before it."""
+    if stroke.matte is None or stroke.matte.is_free:
+        return named(stroke)
+    return f"{_freezing(before, stroke.matte)}: {frozen(stroke.matte)}"
 
 
 def others(stroke: Stroke) -> str:
@@ -95,7 +102,7 @@ def described(
     """
     if stroke.brush == "freeze":
         return f"{_held(stroke)}\nlater strokes move nothing there, earlier ones keep their effect"
-    said = f"{named(stroke)} at {place(stroke.at, 1)}{unit}\n{done(stroke, 1)}\nradius {stroke.radius:.4g}"
+    said = f"{named(stroke)} at {place(stroke.at, 1)}{unit}\n{done(stroke, 1)}\nradius {brush_radius(stroke):.4g}"
     if stroke.poisson is not None:
         said += f", bulge sideways {stroke.poisson:.3g}"
     if stroke.brush == "grab":  # the others fade in one way

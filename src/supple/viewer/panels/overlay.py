@@ -432,8 +432,7 @@ def grid_step(zoom: float) -> int:
 @lru_cache(maxsize=2)
 def _bent_grid(deformation: Deformation, view: Viewport) -> list[list[Any]]:
     step, (columns, rows) = grid_step(view.zoom), view.image_size
-    a, b, c, d = (view.zoom * n for n in view.turn)
-    left, top = view.to_canvas(0.0, 0.0)
+    matrix = np.array(view.matrix)
     low, high = (0.0, view.top), (view.canvas_size[0], view.top + view.canvas_size[1])
     made: list[list[Any]] = []
     for across, most in ((0, columns), (1, rows)):
@@ -442,7 +441,8 @@ def _bent_grid(deformation: Deformation, view: Viewport) -> list[list[Any]]:
         points = np.empty((len(level), len(along), 2))
         points[..., across], points[..., 1 - across] = level[:, None], along
         bent = deformation.forward(points.reshape(-1, 2)).reshape(points.shape)
-        seen = bent @ np.array([[a, c], [b, d]]) + (left, top)
+        seen = bent @ matrix[:2, :2].T + matrix[:2, 2]
+        seen /= bent @ matrix[2:, :2].T + matrix[2, 2]
         shown = seen[((seen >= low) & (seen <= high)).all(-1).any(-1)].tolist()
         made += [[imgui.ImVec2(x, y) for x, y in line] for line in shown]
     return made
@@ -460,12 +460,12 @@ def bars(view: View) -> None:
 def _handles(view: View, lines: imgui.ImDrawList) -> None:
     tools = view.tools
     assert isinstance(tools, ImageTools)
-    (left, top), zoom = tools.view.to_canvas(0.0, 0.0), tools.view.zoom
-    a, b, c, d = (zoom * n for n in tools.view.turn)
+    ((a, b, left), (c, d, top), (g, h, depth)), zoom = tools.view.matrix, tools.view.zoom
     timed = view.document.timed
 
     def placed(point: Point) -> Pair:  # as the viewport does, which finds its zoom anew for each
-        return left + a * point[0] + b * point[1], top + c * point[0] + d * point[1]
+        x, y, w = point[0], point[1], depth + g * point[0] + h * point[1]
+        return (left + a * x + b * y) / w, (top + c * x + d * y) / w
 
     def there(point: Point) -> bool:
         return not timed or abs(point[2] - view.frame) <= 0.5

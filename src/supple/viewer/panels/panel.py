@@ -182,7 +182,7 @@ def _exports(view: View, asked: Question) -> None:
     if changed:
         made["codec"] = text.strip() or None
     label("CRF", "Lower is better, and larger: 18 for H.264; below 0 for what the codec usually has")
-    entered, number = typed(view, "##crf", -1.0 if clip.crf is None else clip.crf, "%.1f")
+    entered, number = typed(view, "##crf", -1.0 if clip.crf is None else clip.crf, _usual(clip.crf))
     if entered:
         made["crf"] = number if 0 <= number < math.inf else None
     label("Keep ends", _HOLD)
@@ -209,6 +209,11 @@ def _of_what(view: View, asked: Question) -> str:
         stem = path.removesuffix(suffix_of(path)).removesuffix("-bent").removesuffix("-field")
         path = asked.path = f"{stem}-{'bent' if commands.field is None else 'field'}.nii.gz"
     return path
+
+
+def _usual(value: float | None) -> str:
+    """Return the format of a number that may be left to the codec."""
+    return "as usual" if value is None else "%.1f"
 
 
 def _of_time(view: View, clip: ClipOptions) -> dict[str, Any]:

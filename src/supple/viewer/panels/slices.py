@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from supple.deformation import Deformation
 from supple.gpu.device import Gpu
-from supple.gpu.screen import Screen
+from supple.gpu.screen import ALL, Screen
 from supple.media.volume import Volume
 from supple.media.volume.data import rescaled
 from supple.render.labels import LabelColours
@@ -158,6 +158,7 @@ class Slices:
                 0.0,
                 0.0,
                 rows / box[3],
+                *ALL[6:],
             )
             second = self._textures[k, True][0] if tools.split is not None and k < FIXED else None
             cut = (view[0] + (tools.split or 0.0) * view[2] - low[0]) / columns

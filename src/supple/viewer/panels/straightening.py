@@ -12,25 +12,42 @@ from supple.errors import SuppleError
 from supple.space.straighten import FRAMES, Straighten
 from supple.viewer.panels import theme
 from supple.viewer.panels.view import View
-from supple.viewer.panels.widgets import hint, label, section, typed
+from supple.viewer.panels.widgets import REST, hint, label, section, toggle, typed
 from supple.viewer.tools.brushes import ImageTools
 
+_SMOOTH = 4  # ImDrawListFlags_AntiAliasedFill
 _BESIDE = 0xA0101010  # over what an export leaves out
 _TURN = "Degrees clockwise. Or draw a line along the horizon with the tool Level (Y). An export is one resampling"
+_KEYSTONE = (
+    "Drag four corners onto what shall be an upright rectangle (K), as a door or a page: the perspective goes away. "
+    "While they are drawn, the picture is shown as it is, and what the result leaves out is dark"
+)
 _FIT = "crop: the largest frame without empty corners; pad: all of the picture; keep: the frame of the picture"
 
 
 def draw(view: View) -> None:
     """Draw the section."""
-    if "level" in view.tools.lacks or not section(view, "Straighten"):
-        return
     document = view.document
-    known = document.state.rest.straighten or Straighten()
+    given, tools = document.state.rest.straighten, view.tools
+    used = given is not None or tools.brush in ("level", "keystone")
+    if "level" in tools.lacks or not section(view, "Straighten", shown=used):
+        return
+    known = given or Straighten()
     label("Turn", _TURN)
     entered, degrees = typed(view, "##turn", known.rotate, "%.2f")
     hint(_TURN)
     if entered:
         view.attempt(lambda: document.set_straighten(replace(known, rotate=degrees)))
+    label("Keystone", _KEYSTONE)
+    wide = imgui.get_content_region_avail().x - imgui.get_style().item_spacing.x
+    if toggle("Draw its frame", tools.brush == "keystone", wide * (0.6 if known.keystone else 1.0)):
+        tools.brush = "grab" if tools.brush == "keystone" else "keystone"
+        view.refresh()
+    hint(_KEYSTONE)
+    if known.keystone:
+        imgui.same_line()
+        if imgui.button("Remove", (REST, 0)):
+            view.attempt(lambda: document.set_straighten(replace(known, keystone=())))
     label("Frame", _FIT)
     changed, index = imgui.combo("##frame of it", FRAMES.index(known.fit), list(FRAMES))
     hint(_FIT)
@@ -55,9 +72,19 @@ def overlay(view: View, tools: ImageTools, lines: imgui.ImDrawList) -> None:
         corners = [tools.view.to_canvas(*p) for p in (found[:, :2] / found[:, 2:]).tolist()]
         x, y = np.mean(corners, axis=0).tolist()
         far = [(x + 50 * (a - x), y + 50 * (b - y)) for a, b in corners]
+        flags, lines.flags = lines.flags, lines.flags & ~_SMOOTH  # no seams
         for k in range(4):
             lines.add_quad_filled(corners[k - 1], corners[k], far[k], far[k - 1], _BESIDE)
+        lines.flags = flags
+        for k in range(4):
             lines.add_line(corners[k - 1], corners[k], theme.WHITE, 1.0)
+    corners = [tools.view.to_canvas(*p) for p in tools.corners]
+    for k, corner in enumerate(corners):
+        for shade, thick in ((theme.DARK, 3.0), (theme.BLUE, 1.5)):
+            lines.add_line(corners[k - 1], corner, shade, thick)
+    for corner in corners:
+        lines.add_circle_filled(corner, 6.0, theme.WHITE)
+        lines.add_circle(corner, 6.0, theme.BLUE, 0, 2.0)
     if tools.line is not None:
         for shade, thick in ((theme.DARK, 3.0), (theme.BLUE, 1.5)):
             lines.add_line(*tools.line, shade, thick)

@@ -12,10 +12,10 @@ from imgui_bundle import imgui
 
 from supple.deformation import Deformation
 from supple.folding.limits import NEAR
-from supple.strokes import LEAST, MOST, PAINTINGS, POISSON, REACH, FoldPolicy, Stroke, time_radius_of
+from supple.strokes import LEAST, MOST, PAINTINGS, POISSON, REACH, FoldPolicy, Stroke, last_freeze, time_radius_of
 from supple.strokes.stroke import MOST_FLAT
-from supple.viewer.document.keyframes import animated, edited
-from supple.viewer.document.words import CAUSES, FALLOFFS, FOLDS, described, listed, others
+from supple.viewer.document.keyframes import edited
+from supple.viewer.document.words import CAUSES, FALLOFFS, FOLDS, described, frozen, listed, others
 from supple.viewer.panels import keyframes, theme
 from supple.viewer.panels.actions import ACTIONS
 from supple.viewer.panels.overlay import grid_step
@@ -256,6 +256,10 @@ def strokes(view: View) -> None:
     count = len(state.strokes)
     if not section(view, "Strokes", f"Strokes ({count})" if count else "Strokes"):
         return
+    if (first := state.rest.freeze) is not None:  # painted before the first stroke
+        imgui.align_text_to_frame_padding()
+        imgui.text(f"Freeze: {frozen(first)}")
+        hint("Of the original, before all strokes: none moves anything there. Thaw it with the tool Thaw (V)")
     if count:
         _amount(view)
     else:
@@ -288,7 +292,8 @@ def _row(view: View, i: int, stroke: Stroke, selected: bool) -> None:
     imgui.same_line()
     short = document.misses(i)
     unit = "" if document.space is None else f" mm {document.space}"
-    text = listed(document.as_saved(stroke), "" if document.space is None else " mm")
+    before = last_freeze(document.strokes[:i]) or document.state.rest.freeze
+    text = listed(document.as_saved(stroke), "" if document.space is None else " mm", before)
     coloured = short or (stroke.hidden and not selected)  # what is faint is not read on the ground of what is selected
     if coloured:
         imgui.push_style_color(imgui.Col_.text, theme.FAINT if stroke.hidden else theme.WARNING)
@@ -370,9 +375,8 @@ def _order(view: View, i: int) -> None:
 
 def _strength(stroke: Stroke, now: Stroke) -> dict[str, Any]:
     label("Strength", "How much of the stroke is applied; of an animated one, in this frame. Below 0, the opposite")
-    low, high = (0.0, 1.0) if animated(stroke, "strength") else (LEAST, MOST)
-    changed, value = slider("##strength", 100 * now.strength, 100 * low, 100 * high, "%.0f %%")
-    return {"strength": min(max(value / 100, low), high)} if changed else {}
+    changed, value = slider("##strength", 100 * now.strength, 100 * LEAST, 100 * MOST, "%.0f %%")
+    return {"strength": min(max(value / 100, LEAST), MOST)} if changed else {}
 
 
 def _amount(view: View) -> None:
@@ -383,7 +387,7 @@ def _amount(view: View) -> None:
     if changed:
         _begin(view, None)
     if changed and document.dragging:
-        view.attempt(lambda: document.preview_amount(min(max(value / 100, LEAST), MOST)))
+        view.attempt(lambda: document.preview_rest(amount=min(max(value / 100, LEAST), MOST)))
     end_drag(view)
 
 

@@ -113,7 +113,7 @@ def _about_the_middle(seen: tuple[int, int], drawn: tuple[int, int]) -> Part:
     """Return the visible part of a volume's image: a camera looks at its centre, and fits the shorter side."""
     pixel = min(seen) / min(drawn)
     width, height = (n / (m * pixel) for n, m in zip(seen, drawn, strict=True))
-    return 0.5 - 0.5 * width, 0.5 - 0.5 * height, width, 0.0, 0.0, height
+    return 0.5 - 0.5 * width, 0.5 - 0.5 * height, width, 0.0, 0.0, height, 1.0, 0.0, 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -192,8 +192,8 @@ class Painter:
             self.part = _about_the_middle(sight.size, size)
             return texture
         x, y = (n / (m * coarse) for n, m in zip(sight.size, size, strict=True))
-        a, b, c, d, e, f = shot.part
-        self.part = a * x, b * y, c * x, d * y, e * x, f * y
+        a, b, c, d, e, f, w, across, down = shot.part
+        self.part = a * x, b * y, c * x, d * y, e * x, f * y, w, across, down
         # The centre of a coarse pixel lies between those of the fine ones that it covers.
         inset = 0.5 * (coarse - 1) * sight.scale
         (x, y), scale = sight.origin, sight.scale * coarse

@@ -19,9 +19,12 @@ FOLDED = ("Face", "Straighten", "Folds and border", "Accuracy", "History")
 """The sections that are folded in the first window."""
 
 
-def section(view: View, name: str, text: str = "") -> bool:
-    """Draw the head of a section, with another text than its name if there is one; return whether it is open."""
-    opened = view.sections.get(name, name not in FOLDED)
+def section(view: View, name: str, text: str = "", *, shown: bool = False) -> bool:
+    """Draw the head of a section, with another text than its name if there is one; return whether it is open.
+
+    Until it was folded or opened by hand, one that is ``shown`` is open.
+    """
+    opened = view.sections.get(name, shown or name not in FOLDED)
     imgui.spacing()
     imgui.set_next_item_open(opened)
     imgui.push_style_color(imgui.Col_.header, theme.LINE)

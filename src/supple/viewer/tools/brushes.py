@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from supple.errors import SuppleError
 from supple.space.straighten import Straighten
 from supple.viewer.document.editing import Document
 from supple.viewer.tools.drawing import CLICK, Held, Pair, Place
@@ -22,7 +23,8 @@ STEEPEST = 2.0  # of that line: pixels along the one axis for each along the oth
 ZOOM = 1.2  # the zoom factor of a notch of the wheel, which is 100
 
 _LEFT, _RIGHT, _MIDDLE = 1, 2, 3
-_CUBE, _LEVEL = "cube", "level"
+_CUBE, _LEVEL, _CORNER = "cube", "level", "corner"
+_LINES: dict[Tool, str] = {"level": _LEVEL, "keystone": _CORNER}  # the tools that straighten, and their drags
 LEAST = 20.0  # logical pixels of a line that shall be level
 
 
@@ -49,17 +51,73 @@ class ImageTools(Tools[Viewport]):
         if not a:  # the axis that is shown from left to right
             self.across, self.middle = 1, 0.5 * (height - 1)
         self._upright = turn
+        self._corner = 0, (0.0, 0.0)  # of the keystone's frame, the corner that is dragged, and where it was
         document.on_change.append(self._straightened)
         self._straightened()
 
     def _straightened(self) -> None:
-        """Show the picture turned and sheared as the result is; without its keystone."""
-        known, (a, b, c, d) = self.document.state.rest.straighten, self._upright
+        """Show the picture as the result is; without perspective while the frame of a keystone is drawn."""
+        known, turn, vanishing = self.document.state.rest.straighten, self._upright, np.zeros(2)
         if known is not None:
-            (a, b), (c, d) = (known.linear @ np.array([[a, b], [c, d]])).tolist()
-        if self.view.turn != (a, b, c, d):
-            self._look(replace(self.view, turn=(a, b, c, d)))
+            flat = replace(known, keystone=()) if self.brush == "keystone" else known
+            linear, vanishing = flat.seen(self.view.image_size)
+            a, b, c, d = (linear @ np.reshape(turn, (2, 2))).ravel().tolist()
+            turn = a, b, c, d
+        g, h = vanishing.tolist()
+        if (self.view.turn, self.view.vanishing) != (turn, (g, h)):
+            self._look(replace(self.view, turn=turn, vanishing=(g, h)))
             self.stretch = self.view.stretch
+
+    @property
+    def brush(self) -> Tool:
+        """The tool in the hand."""
+        return self._brush
+
+    @brush.setter
+    def brush(self, brush: Tool) -> None:
+        before, self._brush = getattr(self, "_brush", brush), brush
+        if "keystone" in (before, brush) and before != brush:
+            self._straightened()
+
+    @property
+    def corners(self) -> tuple[tuple[float, ...], ...]:
+        """The corners of the keystone's frame, while it is drawn: those there are, or some within the picture."""
+        known, (width, height) = self.document.state.rest.straighten, self.view.image_size
+        if self.brush != "keystone" or (known is not None and known.keystone):
+            return known.keystone if known is not None and self.brush == "keystone" else ()
+        x, y = 0.25 * (width - 1), 0.25 * (height - 1)
+        return (x, y), (3 * x, y), (3 * x, 3 * y), (x, 3 * y)
+
+    @property
+    def dragging(self) -> bool:
+        """True if a stroke, or a corner of the keystone's frame, is being dragged."""
+        gesture = self._gesture
+        return super().dragging or (isinstance(gesture, Lead) and gesture.how == _CORNER and self.document.dragging)
+
+    def _on_pointer_down(self, event: Event) -> bool:
+        if self._gesture is None and self.corners:
+            seen = [math.dist(self.view.to_canvas(*p), (event["x"], event["y"])) for p in self.corners]
+            k = seen.index(min(seen))
+            self._corner = k, self.view.to_canvas(*self.corners[k])
+        return super()._on_pointer_down(event)
+
+    def _follow(self, gesture: Held | Lead[Viewport], place: Pair) -> None:
+        document = self.document
+        if isinstance(gesture, Held) or gesture.how != _CORNER:
+            super()._follow(gesture, place)
+            return
+        gesture.now = place
+        if gesture.moved and not document.dragging:
+            document.begin_drag()
+        if document.dragging:  # it goes as far as the pointer, wherever that took it
+            corners, (k, (u, v)), (a, b), (x, y) = list(self.corners), self._corner, gesture.start, place
+            corners[k] = self.view.to_image(u + x - a, v + y - b)
+            try:
+                made = replace(document.state.rest.straighten or Straighten(), keystone=tuple(corners))
+                made.on(self.view.image_size)
+                document.preview_rest(straighten=made)
+            except SuppleError as error:  # the drag goes on
+                document.trouble = str(error)
 
     @property
     def line(self) -> tuple[Pair, Pair] | None:
@@ -68,7 +126,10 @@ class ImageTools(Tools[Viewport]):
         return (gesture.start, gesture.now) if isinstance(gesture, Lead) and gesture.how == _LEVEL else None
 
     def _released(self) -> bool:
-        line, document = self.line, self.document
+        line, document, gesture = self.line, self.document, self._gesture
+        if isinstance(gesture, Lead) and gesture.how == _CORNER:
+            self._gesture, self._refused = None, document.trouble
+            return document.dragging and document.commit()
         if line is not None and math.dist(*line) >= LEAST:
             known = document.state.rest.straighten or Straighten()
             document.set_straighten(known.levelled(*(self.view.to_image(*end) for end in line)))
@@ -82,7 +143,7 @@ class ImageTools(Tools[Viewport]):
     @property
     def ring(self) -> float | None:
         """The brush's radius under the pointer, in logical pixels; None outside of the canvas."""
-        held, pointer = self.held, None if self.brush == "level" else self.pointer
+        held, pointer = self.held, None if self.brush in _LINES else self.pointer
         if pointer is None or holding({0: self.place}, *pointer) is None:
             return None
         return (self.radius if held is None else held.stroke.radius) * self._scale(())
@@ -137,7 +198,7 @@ class ImageTools(Tools[Viewport]):
         return view.pan(dx, dy) if how == "pan" else view
 
     def _leads(self, event: Event) -> str | None:
-        return "pan" if pans(event) else _LEVEL if self.brush == "level" and event.get("button") == _LEFT else None
+        return "pan" if pans(event) else _LINES.get(self.brush) if event.get("button") == _LEFT else None
 
     def _turn(self, event: Event, amount: float) -> None:
         if commanded(event):
@@ -163,7 +224,7 @@ class VideoTools(ImageTools):
     Of those in every frame, an edit of what is animated sets a key in the frame shown; with Shift, all keys move.
     """
 
-    lacks = frozenset[Tool](("level",))
+    lacks = frozenset[Tool](("level", "keystone"))
 
     def __init__(
         self,

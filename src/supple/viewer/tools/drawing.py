@@ -205,7 +205,7 @@ GROWTH = 1.1  # the factor of the brush for a notch of the wheel, which is 100
 class Drawing(ABC):
     """A brush on a document, for each kind of media."""
 
-    lacks: frozenset[Tool] = frozenset(("level", "push"))  # the tools that are for others
+    lacks: frozenset[Tool] = frozenset(("level", "keystone", "push"))  # the tools that are for others
 
     def __init__(self, document: Document) -> None:
         self.document = document
@@ -400,8 +400,12 @@ class Drawing(ABC):
         if held.tool == "push" and len(points) > 1:
             away = PUSHED * radius * sum(parts) / len(parts) * (-1 if held.shift else 1) * self.handed
             made = Stroke.push(points, by=away, radius=radius)
-            both = made.symmetric(*self.mirror(2)) if self._has_image(held.point) else (made,)
-            document.preview(*both, select=False)
+            line = self.mirror(2) if self._has_image(held.point) else None
+            if line is None:
+                document.preview(made, select=False)
+            # Across the line, points and their images would pull against each other: there, one push follows the other.
+            elif not document.preview(*made.symmetric(*line), select=False):
+                document.preview(made, made.mirrored(*line), select=False)
         elif held.tool != "push" and len(points) > count:
             seen = [(q, x) for p, x in held.painted for q in (p, self.mirrored(p))[: 1 + self._has_image(p)]]
             points, parts = zip(*seen, strict=True)

@@ -20,6 +20,7 @@ Event = Mapping[str, Any]
 
 KNOB = 10.0  # the largest distance from a knob: of the split between before and after, of the line of symmetry
 _KEPT = "this frame is kept, as those at the ends are: choose another, or fewer in Export options, Keep ends"
+_BENT = "the frames at the ends are bent, too, as you begin in one: Keep ends, in Export, keeps them as they are"
 _STAYS = "this place is frozen, and no stroke moves it: thaw it first (V)"
 _LEFT, _RIGHT = 1, 2
 _CUT, _LINE, _TILT, _SIZE = "cut", "line", "tilt", "size"
@@ -216,10 +217,13 @@ class Tools(Drawing, Generic[V]):
         return self._gesture is not None
 
     def _stays(self, held: Held) -> str | None:
-        """Return why nothing moves where something is grabbed."""
+        """Return why nothing moves where something is grabbed, or what was done about it."""
         mask, document = self.mask, self.document
         if document.kind == "video" and not document.hold <= document.frame < document.shape[0] - document.hold:
-            return _KEPT
+            if document.strokes:
+                return _KEPT
+            document.set_hold(0)  # who begins here wants this frame bent
+            return _BENT
         return _STAYS if mask and mask.at([[p] for p in held.point[: mask.ndim]]).item() == 0 else None
 
     def _on_pointer_move(self, event: Event) -> bool:
@@ -332,7 +336,12 @@ class Tools(Drawing, Generic[V]):
         key = str(event.get("key", ""))
         if commanded(event):
             return self._command(key.lower(), shifted(event))
-        return self._edit(key) or self._key(key)
+        if self._edit(key) or self._key(key):
+            return True
+        lacking = _BRUSHES.get(key.lower())
+        if lacking is not None:
+            self._refused = f"{lacking} is for pictures{' and clips' * (lacking == 'push')}"
+        return lacking is not None
 
     def _on_key_up(self, event: Event) -> bool:
         self.original &= event.get("key") not in ("\\", "|")  # with Shift, it is another

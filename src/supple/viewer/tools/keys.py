@@ -6,7 +6,20 @@ from collections.abc import Mapping
 from typing import Literal
 
 Tool = Literal[
-    "grab", "twist", "bloat", "pucker", "pinch", "path", "restore", "smooth", "push", "pin", "freeze", "thaw", "level"
+    "grab",
+    "twist",
+    "bloat",
+    "pucker",
+    "pinch",
+    "path",
+    "restore",
+    "smooth",
+    "push",
+    "pin",
+    "freeze",
+    "thaw",
+    "level",
+    "keystone",
 ]
 Rows = Mapping[str, str]
 
@@ -27,10 +40,11 @@ BRUSHES: Mapping[Tool, tuple[str, str]] = {
     "freeze": ("C", "paint what later strokes do not move, as it is now; with Shift, thaw"),
     "thaw": ("V", "paint what strokes may move again; with Shift, freeze"),
     "level": ("Y", "draw a line that shall be level, or upright: the picture is turned, in the same resampling"),
+    "keystone": ("K", "drag four corners onto what shall be an upright rectangle; any other tool shows the result"),
 }
 """For each brush, in the order of the tools' strip, its key, and what a drag with it does."""
 _ALWAYS: Rows = {
-    **{key: f"{name}: {what}" for name, (key, what) in BRUSHES.items() if name not in ("level", "push")},
+    **{key: f"{name}: {what}" for name, (key, what) in BRUSHES.items() if name not in ("level", "keystone", "push")},
     "M": "strokes are symmetric about the dashed line, or no longer; its lower knob moves it, the upper one tilts it",
     "click": "select the stroke whose handle is there, or none",
     "[  ]": "smaller and larger brush, or selected stroke",
@@ -56,7 +70,12 @@ _PICTURE: Rows = {
 }
 _PUSH: Rows = {BRUSHES["push"][0]: f"push: {BRUSHES['push'][1]}"}
 KEYS: Mapping[str, Rows] = {
-    "image": {**_PICTURE, **_PUSH, BRUSHES["level"][0]: f"level: {BRUSHES['level'][1]}", **_ALWAYS},
+    "image": {
+        **_PICTURE,
+        **_PUSH,
+        **{BRUSHES[name][0]: f"{name}: {BRUSHES[name][1]}" for name in ("level", "keystone")},
+        **_ALWAYS,
+    },
     "video": {
         **_PICTURE,
         **_PUSH,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import dataclass, replace
 from fractions import Fraction
@@ -12,11 +13,13 @@ from supple.viewer.tools.drawing import Pair
 CLOSEST = 64.0  # the largest size of an image pixel, in physical pixels of the screen
 FARTHEST = 0.25  # the smallest zoom, relative to the one that fits, or to 100 % if that is less
 _MOST = 8192  # columns or rows that are drawn: those of any device
+_HORIZON = 1e-3  # the least depth of what is shown in perspective, that of the middle being 1
+_BESIDE = 2.0  # pixels beside a picture in perspective that are drawn
 
 Turn = tuple[float, float, float, float]
 """A map of displacements in an image to those that are shown: x from x and from y, and y from x and from y."""
 UPRIGHT: Turn = (1.0, 0.0, 0.0, 1.0)
-Part = tuple[float, float, float, float, float, float]
+Part = tuple[float, float, float, float, float, float, float, float, float]
 """A part of what is drawn, as `supple.gpu.screen.Part`."""
 
 
@@ -47,6 +50,8 @@ class Viewport:
     turn: Turn = UPRIGHT
     held: tuple[float, Pair] | None = None
     top: float = 0.0
+    vanishing: Pair = (0.0, 0.0)
+    """Of a picture in perspective: at d pixels from its middle, it is shown at turn · d / (1 + vanishing · d)."""
 
     def __post_init__(self) -> None:
         width, height = self.canvas_size
@@ -88,14 +93,39 @@ class Viewport:
 
     @property
     def _fit(self) -> float:
-        (width, height), (columns, rows), (a, b, c, d) = self.canvas_size, self.image_size, map(abs, self.turn)
-        return min(width / (a * columns + b * rows), height / (c * columns + d * rows))
+        (width, height), (a, b, c, d), (g, h) = self.canvas_size, self.turn, self.vanishing
+        x, y = (n / 2 for n in self.image_size)
+        ends = [(p, q, 1 + g * p + h * q) for p in (-x, x) for q in (-y, y)]
+        across, down = (max(abs(i * p + j * q) / w for p, q, w in ends) for i, j in ((a, b), (c, d)))
+        return min(width / (2 * across), height / (2 * down))
+
+    @property
+    def _near(self) -> tuple[Turn, Pair]:
+        """The turn, and what vanishes, about the centre of the canvas."""
+        (a, b, c, d), (g, h) = self.turn, self.vanishing
+        if not (g or h):
+            return self.turn, self.vanishing
+        x, y = (p - (n - 1) / 2 for p, n in zip(self.centre, self.image_size, strict=True))
+        w = 1 + g * x + h * y
+        u, v = (a * x + b * y) / w, (c * x + d * y) / w
+        return ((a - u * g) / w, (b - u * h) / w, (c - v * g) / w, (d - v * h) / w), (g / w, h / w)
+
+    @property
+    def matrix(self) -> tuple[tuple[float, float, float], ...]:
+        """The homogeneous matrix from points of the image to those of the canvas."""
+        ((a, b, c, d), (g, h)), zoom, (cx, cy) = self._near, self.zoom, self.centre
+        x, y = self.canvas_size[0] / 2, self.top + self.canvas_size[1] / 2
+        w = 1 - g * cx - h * cy
+        rows = ((zoom * a + x * g, zoom * b + x * h), (zoom * c + y * g, zoom * d + y * h))
+        ends = (x * w - zoom * (a * cx + b * cy), y * w - zoom * (c * cx + d * cy))
+        return (*rows[0], ends[0]), (*rows[1], ends[1]), (g, h, w)
 
     def to_image(self, x: float, y: float) -> Pair:
         """Return the point of the image under a point of the canvas; it may lie outside."""
         (width, height), (cx, cy), zoom = self.canvas_size, self.centre, self.zoom
-        dx, dy = self._back((x - width / 2) / zoom, (y - self.top - height / 2) / zoom)
-        return cx + dx, cy + dy
+        dx, dy, w = self._back((x - width / 2) / zoom, (y - self.top - height / 2) / zoom)
+        w = max(w, _HORIZON)
+        return cx + dx / w, cy + dy / w
 
     def to_canvas(self, x: float, y: float) -> Pair:
         """Return the position of a point of the image on the canvas."""
@@ -104,21 +134,23 @@ class Viewport:
         return width / 2 + dx * zoom, self.top + height / 2 + dy * zoom
 
     def _shown(self, x: float, y: float) -> Pair:
-        """Return a displacement in the image as it is shown."""
-        a, b, c, d = self.turn
-        return a * x + b * y, c * x + d * y
+        """Return a displacement in the image, from the centre, as it is shown."""
+        (a, b, c, d), (g, h) = self._near
+        w = max(1 + g * x + h * y, _HORIZON)
+        return (a * x + b * y) / w, (c * x + d * y) / w
 
-    def _back(self, x: float, y: float) -> Pair:
-        """Return the displacement in the image that is shown as this one."""
-        a, b, c, d = self.turn
+    def _back(self, x: float, y: float) -> tuple[float, float, float]:
+        """Return the displacement from the centre that is shown as this one, and what divides it."""
+        (a, b, c, d), (g, h) = self._near
         size = a * d - b * c
-        return (d * x - b * y) / size, (a * y - c * x) / size
+        p, q = (d * x - b * y) / size, (a * y - c * x) / size
+        return p, q, 1 - g * p - h * q
 
     def drawn(self, size: tuple[int, int], ratio: float) -> tuple[Pair, float, tuple[int, int], Part]:
         """Return what is drawn of the image, along its axes, for a canvas of physical pixels; it is as fine as these.
 
         That is the point of the image at the first sample, the step to the next, columns and rows, and the canvas in
-        fractions of them: its upper left corner, and its sides across and down, x and y of each.
+        fractions of them, as `supple.gpu.screen.Part` has it.
         """
         width, height = (n / ratio for n in size)
         inset = 0.5 / ratio
@@ -126,16 +158,28 @@ class Viewport:
         ys = (self.top + inset, below - inset)
         ends = [self.to_image(x, y) for x in (inset, width - inset) for y in ys]
         origin, far = (tuple(map(of, *ends)) for of in (min, max))
+        fine = 1.0 / (self.zoom * ratio * max(self.stretch))
+        if any(self.vanishing):  # what lies beyond the picture may be endless
+            origin = tuple(max(p, -_BESIDE) for p in origin)
+            far = tuple(min(p, n - 1 + _BESIDE) for p, n in zip(far, self.image_size, strict=True))
+            fine *= min(self._depth(*end) for end in itertools.product(*zip(origin, far, strict=True)))
         extent = far[0] - origin[0], far[1] - origin[1]
-        scale = max(1.0 / (self.zoom * ratio * max(self.stretch)), max(extent) / (_MOST - 1))
+        scale = max(fine, max(extent) / (_MOST - 1))
         columns, rows = (math.ceil(e / scale - 1e-3) + 1 for e in extent)
 
-        def within(x: float, y: float) -> Pair:
-            p, q = self.to_image(x, y)
-            return ((p - origin[0]) / scale + 0.5) / columns, ((q - origin[1]) / scale + 0.5) / rows
+        def within(x: float, y: float) -> tuple[float, float, float]:
+            (cx, cy), (p, q, w) = self.centre, self._back((x - width / 2) / self.zoom, (y - middle) / self.zoom)
+            p, q = (cx - origin[0]) * w + p, (cy - origin[1]) * w + q
+            return (p / scale + 0.5 * w) / columns, (q / scale + 0.5 * w) / rows, w
 
-        (x, y), (a, b), (c, d) = (within(*at) for at in ((0.0, self.top), (width, self.top), (0.0, below)))
-        return origin, scale, (columns, rows), (x, y, a - x, b - y, c - x, d - y)
+        middle = self.top + height / 2
+        (x, y, w), (a, b, e), (c, d, f) = (within(*at) for at in ((0.0, self.top), (width, self.top), (0.0, below)))
+        return origin, scale, (columns, rows), (x, y, a - x, b - y, c - x, d - y, w, e - w, f - w)
+
+    def _depth(self, x: float, y: float) -> float:
+        """Return how much smaller a point of the image is shown than its middle, at least."""
+        (g, h), (columns, rows) = self.vanishing, self.image_size
+        return max(1 + g * (x - (columns - 1) / 2) + h * (y - (rows - 1) / 2), _HORIZON)
 
     def holds(self, x: float, y: float) -> bool:
         """Return whether a point lies within the image."""
@@ -148,7 +192,9 @@ class Viewport:
     def actual(self) -> Self:
         """Return the viewport at 100 %: image pixels on the physical pixels of the screen."""
         middles, corner = (n * self.pixel_ratio / 2 for n in self.canvas_size), (c + 0.5 for c in self.centre)
-        x, y = self._back(*(c - math.remainder(c - m, 1.0) for c, m in zip(self._shown(*corner), middles, strict=True)))
+        flat = replace(self, vanishing=(0.0, 0.0))
+        seen = flat._shown(*corner)
+        x, y, _ = flat._back(*(c - math.remainder(c - m, 1.0) for c, m in zip(seen, middles, strict=True)))
         return replace(self, held=(1 / self.pixel_ratio, (x - 0.5, y - 0.5)))
 
     def zoom_about(self, x: float, y: float, factor: float) -> Self:
@@ -157,16 +203,21 @@ class Viewport:
         zoom = min(max(self.zoom * factor, low), high)
         if zoom == self.zoom:
             return self
-        (px, py), (cx, cy), kept = self.to_image(x, y), self.centre, self.zoom / zoom
-        return replace(self, held=(zoom, (px + (cx - px) * kept, py + (cy - py) * kept)))
+        width, height, kept = *self.canvas_size, self.zoom / zoom
+        (px, py), (cx, cy) = self.to_image(x, y), self.centre
+        centre = px + (cx - px) * kept, py + (cy - py) * kept
+        if any(self.vanishing):
+            middle = self.top + height / 2
+            centre = self.to_image(x + (width / 2 - x) * kept, y + (middle - y) * kept)
+        return replace(self, held=(zoom, centre))
 
     def pan(self, dx: float, dy: float) -> Self:
         """Return the viewport with the image moved by logical pixels."""
         if not (dx or dy):
             return self
         (cx, cy), zoom = self.centre, self.zoom
-        x, y = self._back(dx / zoom, dy / zoom)
-        return replace(self, held=(zoom, (cx - x, cy - y)))
+        x, y, w = self._back(-dx / zoom, -dy / zoom)
+        return replace(self, held=(zoom, (cx + x / max(w, _HORIZON), cy + y / max(w, _HORIZON))))
 
     def resize(self, canvas_size: Pair, pixel_ratio: float | None = None, top: float = 0.0) -> Self:
         """Return the viewport for another size of canvas: the centre stays in place, and a fitted image still fits."""
