@@ -45,7 +45,7 @@ def named(stroke: Stroke) -> str:
 
 
 def listed(stroke: Stroke, unit: str = "", before: Freeze | None = None) -> str:
-    """Return a stroke in a line of a list; its points are in a unit, if that is said; a freeze beside the mask before."""
+    """Return a stroke in a line of a list, its points in a unit; of a freeze, what it changes of the one before."""
     if stroke.brush == "freeze":
         return _held(stroke, before)
     if stroke.is_whole and stroke.name not in PAINTINGS:
