@@ -29,11 +29,11 @@
 
 namespace supple {
 
-constexpr int ROOT = 32;    // pixels along the side of a root cell
-constexpr int SMALL = 4;    // a side of up to as many pixels is split into single ones at once,
+constexpr int ROOT = 32;          // pixels along the side of a root cell
+constexpr int SMALL = 4;          // a side of up to as many pixels is split into single ones at once,
 constexpr int BESIDE_FROZEN = 2;  // and beside what is frozen, where many cells are small
-constexpr int BAND = 4;     // rows of roots that are solved in order, each from the one before
-constexpr int STRIDE = 48;  // pixels of a row of a root, and padding for whole vectors
+constexpr int BAND = 4;           // rows of roots that are solved in order, each from the one before
+constexpr int STRIDE = 48;        // pixels of a row of a root, and padding for whole vectors
 
 // Samples that lie `step` pixels apart, the first at `offset`; `size` of them: the pixels themselves, or chroma.
 struct Grid {

@@ -209,7 +209,7 @@ def strip(view: View) -> None:
     imgui.push_style_color(imgui.Col_.window_bg, theme.RAIL)
     imgui.begin("tools", None, flags | imgui.WindowFlags_.no_bring_to_front_on_focus)
     count = len(BRUSHES) + sum(map(len, GROUPS))
-    size = max(min(STRIP - 12.0, (height - TOP - 18 - len(GROUPS) * _GAP) / count - 2), 8.0)  # all fit in a low window
+    size = max(min(STRIP - 12.0, (height - TOP - 18 - len(GROUPS) * _GAP) / count - 2), 7.0)  # all fit in a low window
     for brush, (key, what) in BRUSHES.items():
         if brush in view.tools.lacks:
             continue

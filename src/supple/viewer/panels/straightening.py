@@ -15,7 +15,6 @@ from supple.viewer.panels.view import View
 from supple.viewer.panels.widgets import REST, hint, label, section, toggle, typed
 from supple.viewer.tools.brushes import ImageTools
 
-_SMOOTH = 4  # ImDrawListFlags_AntiAliasedFill
 _BESIDE = 0xA0101010  # over what an export leaves out
 _TURN = "Degrees clockwise. Or draw a line along the horizon with the tool Level (Y). An export is one resampling"
 _KEYSTONE = (
@@ -72,10 +71,10 @@ def overlay(view: View, tools: ImageTools, lines: imgui.ImDrawList) -> None:
         corners = [tools.view.to_canvas(*p) for p in (found[:, :2] / found[:, 2:]).tolist()]
         x, y = np.mean(corners, axis=0).tolist()
         far = [(x + 50 * (a - x), y + 50 * (b - y)) for a, b in corners]
-        flags, lines.flags = lines.flags, lines.flags & ~_SMOOTH  # no seams
+        white = imgui.get_font_tex_uv_white_pixel()
+        lines.prim_reserve(24, 16)  # smooth edges would overlap, and be seen as seams
         for k in range(4):
-            lines.add_quad_filled(corners[k - 1], corners[k], far[k], far[k - 1], _BESIDE)
-        lines.flags = flags
+            lines.prim_quad_uv(corners[k - 1], corners[k], far[k], far[k - 1], white, white, white, white, _BESIDE)
         for k in range(4):
             lines.add_line(corners[k - 1], corners[k], theme.WHITE, 1.0)
     corners = [tools.view.to_canvas(*p) for p in tools.corners]
