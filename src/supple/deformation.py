@@ -412,51 +412,60 @@ class Deformation:
         """The packed map and domain, as the core takes them."""
         return self.space_on(None, check=False)
 
-    def space_on(self, grid: Grid | None, source: Grid | None = None, *, check: bool = True) -> Space:
+    def space_on(
+        self, grid: Grid | None, source: Grid | None = None, *, check: bool = True, inverse: bool = False
+    ) -> Space:
         """Return the packed map, with the grid of the output if it is not that of the input.
 
         ``source`` is the grid of the input, if it is not that of the deformation: of a sheared volume, whose
-        deformation is on the upright grid around it. ``check`` says whether to look if fields lie where they are used.
+        deformation is on the upright grid around it. ``check`` says whether to look if fields lie where they are used,
+        and ``inverse``, whether the map is T⁻¹.
 
         Raises
         ------
         SuppleError
-            If a field lies apart from that grid, or from what the maps before it lead to.
+            If a field lies apart from that grid, or from what the maps before it lead to; or if the inverse of a
+            straightened picture is asked for.
         """
         plain = self._space
+        if inverse and self.straightened is not None:
+            raise SuppleError("straightening has no inverse here, as the result has another size: leave it out")
+        inverse = inverse and not self.is_identity
         if grid is None and self.output is not self.grid:
             grid = self.output
-        if grid is None and source is None and not self.maps:
+        if grid is None and source is None and not self.maps and not inverse:
             return plain
         if check and self.maps:
-            check_path(reversed(self.maps), grid or source or self.grid)
+            led = [replace(each, inverse=not each.inverse) for each in self.maps] if inverse else reversed(self.maps)
+            check_path(led, grid or source or self.grid)
         own = self.grid if source is None else source
         leans = own != self.grid
         if leans:
             plain = replace(plain, count=own.shape[0] if self.ndim == 3 else 1, shape=(own.shape[-2], own.shape[-1]))
-        if grid is None and not self.maps and (not leans or self.is_identity):
+        if grid is None and not self.maps and not inverse and (not leans or self.is_identity):
             return plain
-        frame = _frame(self.grid)
+        frame, done = _frame(self.grid), 0
         parts: list[_core.Part] = []
-        if leans:
-            parts.append(("affine", matrix_rows(np.linalg.inv(frame) @ _frame(own)), False))
-        done = 0
         for placed in self.maps:
             if placed.row > done:
                 parts.append(("strokes", plain.rows[done : placed.row], False))
             done = placed.row
-            kind, held, inverse = placed.packed(frame)
-            parts.append((kind, held, not inverse))  # T is the push map
+            kind, held, pulled = placed.packed(frame)
+            parts.append((kind, held, not pulled))  # T is the push map
         regrid, whole = None, own if grid is None else grid.uncropped()
         moved = not whole.is_same_space(own)
         if leans or moved:
             regrid = np.diag([*own.spacing, 1.0]) @ np.linalg.inv(whole.matrix) @ frame
         if grid is not None and not moved and grid.shape == own.shape:
             grid = None
-        if not self.maps and regrid is None:
+        if not self.maps and regrid is None and not inverse:
             return replace(plain, grid=grid)
         if done < len(plain.rows):
             parts.append(("strokes", plain.rows[done:], False))
+        if inverse:
+            parts = [(kind, held, not undone) for kind, held, undone in reversed(parts)]
+        if leans:
+            parts.insert(0, ("affine", matrix_rows(np.linalg.inv(frame) @ _frame(own)), False))
         if regrid is not None:
             parts.append(("affine", matrix_rows(regrid), False))
         axes = Domain(own.shape, own.spacing).packed() if leans else plain.axes.copy()
@@ -1082,6 +1091,7 @@ class Deformation:
         device: str = "cpu",
         out: npt.NDArray[Any] | None = None,
         grid: Grid | None = None,
+        inverse: bool = False,
         **options: Unpack[SamplingFields],
     ) -> Any:
         """Warp an image, a stack of frames, or a function of points.
@@ -1115,6 +1125,9 @@ class Deformation:
             The grid of the output; by default, that of the input. `supple.grid_of` reads that of another image. Of
             ``d.grid.crop(…)``, a part of the grid, the result equals that part of the whole, bit for bit, at a
             cost in proportion.
+        inverse : bool
+            Whether to apply T⁻¹ in place of T: what was warped goes back to where it came from. Each pixel p of the
+            result is what the source shows at T(p), which is explicit, so that the inverse is as exact as the map.
         **options
             Fields of the sampling to replace, by name: ``d.warp(image, filter="linear", outside="reflect")``.
 
@@ -1138,7 +1151,8 @@ class Deformation:
         # Imported here to keep `import supple` fast.
         from supple.arrays import check_device, warp_array, warp_function, warp_picture
 
-        plain = self.domain.time and not self.maps and grid is None and device != "cuda"
+        inverse = flag("inverse", inverse)
+        plain = self.domain.time and not self.maps and grid is None and device != "cuda" and not inverse
         sampling = Sampling.of(sampling, self.filling(sampling, options), self._space.ndim, flow=plain)
         clamp = flag("clamp", clamp)
         if grid is not None:
@@ -1146,7 +1160,7 @@ class Deformation:
                 refuse("grid", "a Grid", grid)
             if grid.ndim != self.ndim:
                 refuse("grid", f"a grid of {self.ndim} axes, as the deformation is", told=f"one of {grid.ndim}")
-        space = self.space_on(grid)
+        space = self.space_on(grid, inverse=inverse)
         if callable(source) and not hasattr(source, "__array__"):
             if grid is not None:
                 refuse("grid", "left out for a function of points", grid)
@@ -1155,7 +1169,7 @@ class Deformation:
             check_device(device, "a function of points, which Python evaluates")
             if self.ndim == 3:
                 raise SuppleError(f"a function of points is warped as an image, and shape {self.shape} has three axes")
-            return warp_function(source, self.space, samples, out)
+            return warp_function(source, space, samples, out)
         if samples != 1:
             refuse("samples", "left out for an array: it is for a function of points", samples)
         if hasattr(source, "warped"):
