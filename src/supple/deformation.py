@@ -24,7 +24,7 @@ from supple.fields import Field, Placed, check_path, folds_of
 from supple.folding.limits import NEAR, farthest
 from supple.folding.resolved import FREE_ENOUGH, Resolved, apart, described, freedom_at, padded
 from supple.space.affine import Affine, matrix_rows
-from supple.space.checks import choice, colours_hint, flag, integer, length, number, point, refuse
+from supple.space.checks import choice, colours_hint, flag, integer, length, library_of, number, point, refuse
 from supple.space.domain import BorderProfile, Domain
 from supple.space.freezing import Freeze
 from supple.space.geometry import Grid
@@ -1098,13 +1098,15 @@ class Deformation:
 
         Parameters
         ----------
-        source : array of shape (H, W[, C]) or (T, H, W[, C]), function, or Picture
+        source : array of shape (H, W[, C]) or (T, H, W[, C]), function, Picture, or image of SimpleITK or nibabel
             A picture, as `supple.media.image.read` returns it, says itself which channel is opacity; for its array
             alone, ``alpha`` has to say so. Arrays are of bool, integers or floats. Frames are read, and their results
             written, a few at a time, so that both may be memory-mapped. An array on an NVIDIA GPU (PyTorch's, CuPy's,
             Numba's, or any with DLPack or
             ``__cuda_array_interface__``) is warped there, on its library's current stream. A function takes points
-            (N, 2), x first, and returns (N,) or (N, C).
+            (N, 2), x first, and returns (N,) or (N, C). Of an image of SimpleITK or nibabel, the deformation has the
+            shape and the spacing (``Deformation(supple.grid_of(image))``); a volume is sampled alike along all axes
+            unless ``between`` is given, components and times are channels, and none is opacity by default.
         sampling : Sampling, optional
             How the source is sampled: the filter, the tolerance, the boundary mode and fill value, and so on.
         alpha : bool, optional
@@ -1133,8 +1135,10 @@ class Deformation:
 
         Returns
         -------
-        array or Picture
-            The result, of the source's shape, or the grid's, and type. An exact copy if the map is the identity.
+        array, Picture or image
+            The result, of the source's shape, or the grid's, and type. An exact copy if the map is the identity. An
+            image has the geometry and the header of the source, or the grid's position; integers that nibabel scales
+            become true values in float32 (float64 if they have 32 bits or more).
 
         Raises
         ------
@@ -1160,7 +1164,17 @@ class Deformation:
                 refuse("grid", "a Grid", grid)
             if grid.ndim != self.ndim:
                 refuse("grid", f"a grid of {self.ndim} axes, as the deformation is", told=f"one of {grid.ndim}")
-        space = self.space_on(grid, inverse=inverse)
+        image = None
+        if library_of(source):
+            from supple.media.objects import held
+
+            image = held(source)
+            if out is not None:
+                refuse("out", "left out for an image, of which a new one is returned", told="one")
+            if self.ndim == 3 and not options.keys() & {"between", "time_filter"} and sampling.between is None:
+                sampling = sampling.along_all_axes()
+        source, alpha = (source, alpha) if image is None else (image.samples, bool(alpha))
+        space = self.space_on(grid, self._own(image.grid, grid) if image else None, inverse=inverse)
         if callable(source) and not hasattr(source, "__array__"):
             if grid is not None:
                 refuse("grid", "left out for a function of points", grid)
@@ -1182,7 +1196,21 @@ class Deformation:
         else:
             made, certificate = warp_array(source, space, sampling, alpha=alpha, clamp=clamp, device=device, out=out)
         warn_of(certificate, sampling.tolerance, 3)
-        return made
+        return made if image is None else image.like(made, grid or (self.output if self.straightened else None))
+
+    def _own(self, own: Grid, output: Grid | None) -> Grid | None:
+        """Return the grid of an image if it is not that of the deformation; SuppleError if it does not fit this."""
+        upright = own.upright()
+        steps = [" x ".join(f"{x:.6g}" for x in each.spacing) for each in (upright, self.grid)]
+        made = "make it on the image's grid, Deformation(supple.grid_of(image)"
+        if self.domain.time or upright.shape != self.shape:
+            shape = " x ".join(map(str, upright.shape))
+            raise SuppleError(f"the image is of shape {shape}, and the deformation is for {self.shape}: {made})")
+        if not np.allclose(upright.spacing, self.grid.spacing, rtol=1e-3, atol=0.0):
+            raise SuppleError(f"the image has a spacing of {steps[0]}, and the deformation of {steps[1]}: {made})")
+        if (own.shear or self.maps or output is not None) and not upright.is_same_space(self.grid):
+            raise SuppleError(f"the image lies elsewhere in space than the grid of the deformation: {made})")
+        return own if own.shear else None
 
     def report(self, *, tolerance: float = 0.01, plane: int | None = None, grid: Grid | None = None) -> Report:
         """Report on the strokes and the certified error of the inverse map.

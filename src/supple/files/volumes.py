@@ -166,12 +166,6 @@ def _mapped(stroke: Stroke, there: Callable[[Floats], Floats], geometry: Geometr
     return replace(made, axis=along(tuple(np.multiply(axis, way / np.abs(axis).max()).tolist())))
 
 
-def sampling_of(sampling: Sampling) -> Sampling:
-    """Return the sampling options of a volume, equal along all three axes."""
-    between = "cubic" if sampling.filter in ("auto", "cubic") else None
-    return replace(sampling, between=between, time_filter=sampling.filter == "auto")
-
-
 def warp_volume(
     source: PathLike,
     target: PathLike,
@@ -195,7 +189,7 @@ def warp(job: Job, tell: Tell) -> Warped:
     """Warp a volume, as in `warp_volume`, whose names and options are checked."""
     source, target, known, grid, maps = job.source, job.target, job.volume, job.grid, job.maps
     name = "nearest" if known.labels and job.sampling.filter == "auto" else job.sampling.filter
-    sampling = sampling_of(replace(job.sampling, filter=name))
+    sampling = replace(job.sampling, filter=name).along_all_axes()
     if known.labels and name != "nearest":
         text = f'{argument("labels")} needs filter "nearest", which keeps values as they are, found "{name}"'
         raise SuppleError(text)

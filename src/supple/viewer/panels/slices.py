@@ -14,7 +14,6 @@ import numpy.typing as npt
 from supple.arrays import warp_array
 from supple.deformation import Deformation
 from supple.engine.sampling import Sampling
-from supple.files.volumes import sampling_of
 from supple.gpu.device import Gpu
 from supple.gpu.screen import Screen
 from supple.media.volume import Volume
@@ -66,7 +65,7 @@ class Slices:
         else:
             first, sizes = [0, 0, 0], list(self._samples.shape[::-1])
             first[axis], sizes[axis] = index, 1
-            sampling = sampling_of(Sampling("nearest" if self.labels else "auto"))
+            sampling = Sampling("nearest" if self.labels else "auto").along_all_axes()
             space = deformation.space_on(deformation.grid.crop(first, sizes))
             raw = warp_array(self._samples, space, sampling, alpha=False)[0].squeeze(2 - axis)
             if not self.labels:
