@@ -42,6 +42,7 @@ from supple.media import image, volume
 DATA = Path(supple.__file__).parent / "examples" / "data"
 RADIUS, FARTHEST = (40.0, 80.0), 15.0  # of pictures of 512 pixels
 VOXELS, MILLIMETRES = (15.0, 30.0), 7.5  # of volumes of 128
+AND_BACK = "; ours with its inverse"
 THREADS = int(os.environ["SUPPLE_THREADS"])
 Points = np.ndarray
 PairOf = tuple[str, Callable[[], tuple[Work, Work]], Callable[[], tuple[float, float]] | None]
@@ -163,6 +164,9 @@ def monai() -> Iterator[PairOf]:
             return lambda: mine(dict(sample)), lambda: theirs(dict(sample))
 
         yield f"MONAI {name}", works, None
+    there = ours.RandElasticd(keys, MILLIMETRES, VOXELS, prob=1, mode=modes)  # the last theirs is that of volumes
+    both = (lambda: there.inverse(there(dict(deep))), lambda: theirs(dict(deep)))
+    yield f"MONAI {name}{AND_BACK}", lambda: both, None
 
 
 def torchio() -> Iterator[PairOf]:
@@ -174,13 +178,16 @@ def torchio() -> Iterator[PairOf]:
     data = torch.from_numpy(head())[None]
     subject = tio.Subject(image=tio.ScalarImage(tensor=data), labels=tio.LabelMap(tensor=(data > 50).to(torch.uint8)))
     mine, theirs = ours.RandomElastic(MILLIMETRES, VOXELS), tio.RandomElasticDeformation(max_displacement=MILLIMETRES)
-    yield "TorchIO RandomElasticDeformation", lambda: (lambda: mine(subject), lambda: theirs(subject)), None
+    name, bend = "TorchIO RandomElasticDeformation", lambda: theirs(subject)
+    yield name, lambda: (lambda: mine(subject), bend), None
+    yield f"{name}{AND_BACK}", lambda: (lambda: mine(subject).apply_inverse_transform(), bend), None
 
 
 def main() -> int:
     given = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     given.add_argument("--runs", type=int, default=15)
     given.add_argument("--wall", action="store_true", help="by the clock on the wall")
+    given.add_argument("--library", help="of one library alone")
     options = given.parse_args()
     warnings.simplefilter("ignore")
     runs, clock = options.runs, wall if options.wall else cpu
@@ -192,12 +199,15 @@ def main() -> int:
     for name, rows in (
         ("albumentations", albumentations), ("torchvision", torchvision), ("monai", monai), ("torchio", torchio)
     ):  # fmt: skip
+        if options.library not in (None, name):
+            continue
         if find_spec(name) is None:
             lines.append(Line(name, bar=1.0, note=f"not installed: pip install {name}"))
             continue
         for what, works, errors in rows():
             ours, theirs = works()
-            lines.append(against(f"{what} ({version(name)})", ours, theirs, clock, runs, 1.0))
+            bar = 0.2 if what.endswith(AND_BACK) else 1.0
+            lines.append(against(f"{what} ({version(name)})", ours, theirs, clock, runs, bar))
             print(lines[-1], flush=True)
             if errors is not None:
                 mine, other = (max(found) for found in zip(*(errors() for _ in range(min(runs, 5))), strict=True))

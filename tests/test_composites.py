@@ -159,6 +159,46 @@ def test_other_grids_are_sampled_at_their_positions(seed: int, n: int, tolerance
     assert (np.abs(got.ravel() - wanted) <= 1e-4 + 2 * tolerance * steep)[found.converged].all()
 
 
+@given(seed=seeds, n=axes, other=st.booleans(), maps=st.booleans())
+def test_a_warp_by_the_inverse_samples_at_t(seed: int, n: int, other: bool, maps: bool) -> None:
+    made, rng, tolerance = random_deformation(seed, n, maps=maps), np.random.default_rng(seed), 1e-3
+    if any(isinstance(each.map, Field) for each in made.maps):  # which lead anywhere, and may be solved twice
+        made = random_deformation(seed, n, maps=False)
+    image = ndimage.gaussian_filter(rng.normal(size=made.shape), 1.0)
+    steep = sum(np.abs(np.diff(image, axis=k)).max(initial=0.0) for k in range(n))
+    grid = random_grid(rng, made) if other else made.grid
+    got = made.warp(image, filter="linear", tolerance=tolerance, grid=grid if other else None, inverse=True)
+    seen = made.forward(made.grid.indices(grid.positions(indices(grid.shape))))
+    wanted = ndimage.map_coordinates(image, seen[:, ::-1].T, order=1, mode="nearest")
+    assert (np.abs(got.ravel() - wanted) <= 1e-4 + 2 * tolerance * steep).all()
+
+
+@given(seed=seeds)
+def test_the_inverse_of_a_field_is_that_of_its_inverse(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    field = drawn(rng, Grid((14, 12, 10), 1.5), 0.3, interpolation="cubic", beyond="edge", dtype="f8")
+    image = ndimage.gaussian_filter(rng.normal(size=(14, 12, 10)), 1.0)
+    one, other = (Deformation(field.grid).field(field, inverse=push) for push in (False, True))
+    kept = {"filter": "linear", "tolerance": 1e-3}
+    np.testing.assert_allclose(one.warp(image, inverse=True, **kept), other.warp(image, **kept), atol=5e-3)
+
+
+def test_what_is_warped_back_lies_where_it_was() -> None:
+    d = Deformation((90, 120)).grab((40, 40), by=(14, 6), radius=25).twist((80, 50), angle=70, radius=20)
+    y, x = np.mgrid[:90, :120]
+    smooth = np.sin(x / 9) * np.cos(y / 11)
+    there = d.warp(smooth, filter="cubic", tolerance=1e-3)
+    back = d.warp(there, filter="cubic", tolerance=1e-3, inverse=True)
+    assert np.abs(there - smooth).max() > 0.5
+    assert np.abs(back - smooth)[3:-3, 3:-3].max() < 0.02
+    far = np.random.default_rng(0).random((90, 120))
+    short = Deformation((90, 120)).grab((20, 20), by=(2, 1), radius=4, reach=2)
+    np.testing.assert_array_equal(short.warp(far, inverse=True)[40:], far[40:])  # every bit
+    np.testing.assert_array_equal(Deformation((90, 120)).warp(far, inverse=True), far)
+    with pytest.raises(SuppleError, match="straightening has no inverse here"):
+        d.straighten(rotate=5).warp(far, inverse=True)
+
+
 @examples(60)
 @given(
     seed=seeds,

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
         ToleranceWarning,
         TrackWarning,
     )
-    from supple.fields import Field, Inverted, Placed, compose, read_maps
+    from supple.fields import Field, Inverted, Placed, compose, read_maps, to_sitk
     from supple.fields.checks import FieldReport
     from supple.files import warp_file
     from supple.files.maps import grid_of
@@ -65,6 +65,7 @@ __all__ = [
     "compose",
     "grid_of",
     "read_maps",
+    "to_sitk",
     "track",
     "view",
     "warp_batch",
@@ -103,6 +104,7 @@ _HOMES = {
     "compose": "fields",
     "grid_of": "files.maps",
     "read_maps": "fields",
+    "to_sitk": "fields",
     "track": "files.tracking",
     "view": "viewer.window.launch",
     "warp_batch": "arrays",

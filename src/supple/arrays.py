@@ -27,8 +27,8 @@ _WEIGHTLESS = 1e-6  # a weight that rounding leaves
 _SLAB = 1 << 20  # bytes of a slab whose range is computed or clamped
 # Objects that hold an array, by their library and one of their attributes.
 _HELD = {
-    ("SimpleITK", "GetSpacing"): "an image of SimpleITK: give SimpleITK.GetArrayViewFromImage(image)",
-    ("nibabel", "dataobj"): "an image of nibabel: give numpy.asanyarray(image.dataobj).T",
+    ("SimpleITK", "GetSpacing"): "an image of SimpleITK: give it to Deformation.warp, or its array",
+    ("nibabel", "dataobj"): "an image of nibabel: give it to Deformation.warp, or its array",
     ("pydicom", "pixel_array"): "a data set of pydicom: give its pixel_array",
     ("supple", "rescaled"): "a volume: give its samples",
 }

@@ -25,7 +25,7 @@ from supple.fields import Field, Placed, check_path, folds_of
 from supple.folding.limits import NEAR, farthest
 from supple.folding.resolved import FREE_ENOUGH, Resolved, apart, described, freedom_at, padded
 from supple.space.affine import Affine, matrix_rows
-from supple.space.checks import choice, colours_hint, flag, integer, length, number, point, refuse
+from supple.space.checks import choice, colours_hint, flag, integer, length, library_of, number, point, refuse
 from supple.space.domain import BorderProfile, Domain
 from supple.space.freezing import Freeze
 from supple.space.geometry import Grid
@@ -451,51 +451,60 @@ class Deformation:
         """The packed map and domain, as the core takes them."""
         return self.space_on(None, check=False)
 
-    def space_on(self, grid: Grid | None, source: Grid | None = None, *, check: bool = True) -> Space:
+    def space_on(
+        self, grid: Grid | None, source: Grid | None = None, *, check: bool = True, inverse: bool = False
+    ) -> Space:
         """Return the packed map, with the grid of the output if it is not that of the input.
 
         ``source`` is the grid of the input, if it is not that of the deformation: of a sheared volume, whose
-        deformation is on the upright grid around it. ``check`` says whether to look if fields lie where they are used.
+        deformation is on the upright grid around it. ``check`` says whether to look if fields lie where they are used,
+        and ``inverse``, whether the map is T⁻¹.
 
         Raises
         ------
         SuppleError
-            If a field lies apart from that grid, or from what the maps before it lead to.
+            If a field lies apart from that grid, or from what the maps before it lead to; or if the inverse of a
+            straightened picture is asked for.
         """
         plain = self._space
+        if inverse and self.straightened is not None:
+            raise SuppleError("straightening has no inverse here, as the result has another size: leave it out")
+        inverse = inverse and not self.is_identity
         if grid is None and self.output is not self.grid:
             grid = self.output
-        if grid is None and source is None and not self.maps:
+        if grid is None and source is None and not self.maps and not inverse:
             return plain
         if check and self.maps:
-            check_path(reversed(self.maps), grid or source or self.grid)
+            led = [replace(each, inverse=not each.inverse) for each in self.maps] if inverse else reversed(self.maps)
+            check_path(led, grid or source or self.grid)
         own = self.grid if source is None else source
         leans = own != self.grid
         if leans:
             plain = replace(plain, count=own.shape[0] if self.ndim == 3 else 1, shape=(own.shape[-2], own.shape[-1]))
-        if grid is None and not self.maps and (not leans or self.is_identity):
+        if grid is None and not self.maps and not inverse and (not leans or self.is_identity):
             return plain
-        frame = _frame(self.grid)
+        frame, done = _frame(self.grid), 0
         parts: list[_core.Part] = []
-        if leans:
-            parts.append(("affine", matrix_rows(np.linalg.inv(frame) @ _frame(own)), False))
-        done = 0
         for placed in self.maps:
             if placed.row > done:
                 parts.append(("strokes", plain.rows[done : placed.row], False))
             done = placed.row
-            kind, held, inverse = placed.packed(frame)
-            parts.append((kind, held, not inverse))  # T is the push map
+            kind, held, pulled = placed.packed(frame)
+            parts.append((kind, held, not pulled))  # T is the push map
         regrid, whole = None, own if grid is None else grid.uncropped()
         moved = not whole.is_same_space(own)
         if leans or moved:
             regrid = np.diag([*own.spacing, 1.0]) @ np.linalg.inv(whole.matrix) @ frame
         if grid is not None and not moved and grid.shape == own.shape:
             grid = None
-        if not self.maps and regrid is None:
+        if not self.maps and regrid is None and not inverse:
             return replace(plain, grid=grid)
         if done < len(plain.rows):
             parts.append(("strokes", plain.rows[done:], False))
+        if inverse:
+            parts = [(kind, held, not undone) for kind, held, undone in reversed(parts)]
+        if leans:
+            parts.insert(0, ("affine", matrix_rows(np.linalg.inv(frame) @ _frame(own)), False))
         if regrid is not None:
             parts.append(("affine", matrix_rows(regrid), False))
         axes = Domain(own.shape, own.spacing).packed() if leans else plain.axes.copy()
@@ -972,19 +981,22 @@ class Deformation:
         device: str = "cpu",
         out: npt.NDArray[Any] | None = None,
         grid: Grid | None = None,
+        inverse: bool = False,
         **options: Unpack[SamplingFields],
     ) -> Any:
         """Warp an image, a stack of frames, or a function of points.
 
         Parameters
         ----------
-        source : array of shape (H, W[, C]) or (T, H, W[, C]), function, or Picture
+        source : array of shape (H, W[, C]) or (T, H, W[, C]), function, Picture, or image of SimpleITK or nibabel
             A picture, as `supple.media.image.read` returns it, says itself which channel is opacity; for its array
             alone, ``alpha`` has to say so. Arrays are of bool, integers or floats. Frames are read, and their results
             written, a few at a time, so that both may be memory-mapped. An array on an NVIDIA GPU (PyTorch's, CuPy's,
             Numba's, or any with DLPack or
             ``__cuda_array_interface__``) is warped there, on its library's current stream. A function takes points
-            (N, 2), x first, and returns (N,) or (N, C).
+            (N, 2), x first, and returns (N,) or (N, C). Of an image of SimpleITK or nibabel, the deformation has the
+            shape and the spacing (``Deformation(supple.grid_of(image))``); a volume is sampled alike along all axes
+            unless ``between`` is given, components and times are channels, and none is opacity by default.
         sampling : Sampling, optional
             How the source is sampled: the filter, the tolerance, the boundary mode and fill value, and so on.
         alpha : bool, optional
@@ -1005,13 +1017,18 @@ class Deformation:
             The grid of the output; by default, that of the input. `supple.grid_of` reads that of another image. Of
             ``d.grid.crop(…)``, a part of the grid, the result equals that part of the whole, bit for bit, at a
             cost in proportion.
+        inverse : bool
+            Whether to apply T⁻¹ in place of T: what was warped goes back to where it came from. Each pixel p of the
+            result is what the source shows at T(p), which is explicit, so that the inverse is as exact as the map.
         **options
             Fields of the sampling to replace, by name: ``d.warp(image, filter="linear", outside="reflect")``.
 
         Returns
         -------
-        array or Picture
-            The result, of the source's shape, or the grid's, and type. An exact copy if the map is the identity.
+        array, Picture or image
+            The result, of the source's shape, or the grid's, and type. An exact copy if the map is the identity. An
+            image has the geometry and the header of the source, or the grid's position; integers that nibabel scales
+            become true values in float32 (float64 if they have 32 bits or more).
 
         Raises
         ------
@@ -1028,7 +1045,8 @@ class Deformation:
         # Imported here to keep `import supple` fast.
         from supple.arrays import check_device, warp_array, warp_function, warp_picture
 
-        plain = self.domain.time and not self.maps and grid is None and device != "cuda"
+        inverse = flag("inverse", inverse)
+        plain = self.domain.time and not self.maps and grid is None and device != "cuda" and not inverse
         sampling = Sampling.of(sampling, self.filling(sampling, options), self._space.ndim, flow=plain)
         clamp = flag("clamp", clamp)
         if grid is not None:
@@ -1036,7 +1054,17 @@ class Deformation:
                 refuse("grid", "a Grid", grid)
             if grid.ndim != self.ndim:
                 refuse("grid", f"a grid of {self.ndim} axes, as the deformation is", told=f"one of {grid.ndim}")
-        space = self.space_on(grid)
+        image = None
+        if library_of(source):
+            from supple.media.objects import held
+
+            image = held(source)
+            if out is not None:
+                refuse("out", "left out for an image, of which a new one is returned", told="one")
+            if self.ndim == 3 and not options.keys() & {"between", "time_filter"} and sampling.between is None:
+                sampling = sampling.along_all_axes()
+        source, alpha = (source, alpha) if image is None else (image.samples, bool(alpha))
+        space = self.space_on(grid, self._own(image.grid, grid) if image else None, inverse=inverse)
         if callable(source) and not hasattr(source, "__array__"):
             if grid is not None:
                 refuse("grid", "left out for a function of points", grid)
@@ -1045,7 +1073,7 @@ class Deformation:
             check_device(device, "a function of points, which Python evaluates")
             if self.ndim == 3:
                 raise SuppleError(f"a function of points is warped as an image, and shape {self.shape} has three axes")
-            return warp_function(source, self.space, samples, out)
+            return warp_function(source, space, samples, out)
         if samples != 1:
             refuse("samples", "left out for an array: it is for a function of points", samples)
         if hasattr(source, "warped"):
@@ -1059,7 +1087,21 @@ class Deformation:
             made, certificate = warp_array(source, space, sampling, alpha=alpha, clamp=clamp, device=device, out=out)
         unit = "voxels" if self.ndim == 3 and not self.domain.time else "px"
         warn_of(certificate, sampling.tolerance, 3, unit=unit)
-        return made
+        return made if image is None else image.like(made, grid or (self.output if self.straightened else None))
+
+    def _own(self, own: Grid, output: Grid | None) -> Grid | None:
+        """Return the grid of an image if it is not that of the deformation; SuppleError if it does not fit this."""
+        upright = own.upright()
+        steps = [" x ".join(f"{x:.6g}" for x in each.spacing) for each in (upright, self.grid)]
+        made = "make it on the image's grid, Deformation(supple.grid_of(image)"
+        if self.domain.time or upright.shape != self.shape:
+            shape = " x ".join(map(str, upright.shape))
+            raise SuppleError(f"the image is of shape {shape}, and the deformation is for {self.shape}: {made})")
+        if not np.allclose(upright.spacing, self.grid.spacing, rtol=1e-3, atol=0.0):
+            raise SuppleError(f"the image has a spacing of {steps[0]}, and the deformation of {steps[1]}: {made})")
+        if (own.shear or self.maps or output is not None) and not upright.is_same_space(self.grid):
+            raise SuppleError(f"the image lies elsewhere in space than the grid of the deformation: {made})")
+        return own if own.shear else None
 
     def report(self, *, tolerance: float = 0.01, plane: int | None = None, grid: Grid | None = None) -> Report:
         """Report on the strokes and the certified error of the inverse map.

@@ -7,12 +7,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy import ndimage
 
 import supple
 from tests import reference
 from tests.augment.libraries import library
 
-monai = library("monai.transforms")
+monai, monai_data = library("monai.transforms"), library("monai.data")
 import torch
 from monai.data import MetaTensor
 
@@ -76,6 +77,39 @@ def test_its_random_state_draws() -> None:
     half = RandElastic(9, (15, 25), prob=0.5).set_random_state(1)
     assert sum(torch.equal(half(image), image) for _ in range(40)) not in (0, 40)
     assert np.array_equal(RandElastic(9, 15, prob=0)(image.numpy()), image)
+
+
+def test_what_is_bent_is_bent_back_by_the_exact_inverse() -> None:
+    keys = {"point_keys": "points", "box_keys": ["boxes"]}
+    bend = RandElasticd(["image", "label"], 9, (12, 20), 8, prob=1, mode=["bilinear", "nearest"], **keys)
+    transform, given = monai.Compose([bend, monai.RandFlipd(["image", "label"], prob=1)]).set_random_state(7), sample()
+    made = transform(given)
+    d, spatial = bend.deformation, monai.RandFlipd(["image", "label"], prob=1).flipper
+    assert d is not None
+    back = transform.inverse(made)
+    assert not back["image"].applied_operations
+    np.testing.assert_allclose(np.asarray(back["points"]), given["points"], atol=1e-6)
+    bent = spatial(made["image"])[0].numpy().T  # without the flip
+    seen = reference.forward(reference.carried_out(d), d.domain, reference.grid(d.shape)).reshape(-1, 3)
+    expected = ndimage.map_coordinates(bent.astype(float), seen[:, ::-1].T, order=1, mode="nearest")
+    np.testing.assert_allclose(back["image"][0].numpy().T.ravel(), expected, atol=0.03)
+    assert set(np.unique(back["label"])) <= set(np.unique(given["label"]))
+    low, high = np.split(back["boxes"].numpy(), 2, axis=1)
+    first = np.split(given["boxes"].numpy(), 2, axis=1)
+    assert (low <= first[0] + 0.05).all()
+    assert (high >= first[1] - 0.05).all()
+    none = monai.Compose([RandElasticd(["image"], 9, 15, prob=0)])
+    assert torch.equal(none.inverse(none(given))["image"], given["image"])
+
+
+def test_items_of_a_batch_are_bent_back() -> None:
+    transform, image = RandElastic(9, (15, 25), 8, prob=1), MetaTensor(torch.rand(2, 40, 30))
+    items = monai_data.decollate_batch(monai_data.list_data_collate([transform(image), transform(image)]))
+    for one in items:
+        recipe = supple.Recipe.from_json(one.applied_operations[0]["extra_info"]["recipe"])
+        d = supple.Deformation.from_recipe(recipe, (30, 40), warn=False, say=lambda *_: None)
+        expected = d.warp(one[0].numpy().T, filter="linear", inverse=True)
+        np.testing.assert_allclose(transform.inverse(one)[0].numpy().T, expected, atol=1e-6)
 
 
 def test_a_file_that_it_reads_has_the_recipe(tmp_path: Path) -> None:

@@ -54,6 +54,21 @@ def test_images_and_labels_of_a_subject_are_bent_by_one_draw(tmp_path: Path) -> 
     assert not torch.equal(transform(given).head.data, made.head.data)
 
 
+def test_a_subject_is_bent_back_by_the_exact_inverse() -> None:
+    given, flip = subject(), tio.RandomFlip(flip_probability=1)
+    bent = RandomElastic(15, (25, 40), 6)(given)
+    back = flip(bent).apply_inverse_transform()
+    d = supple.Deformation.from_recipe(
+        supple.Recipe.from_json(bent.history[0].recipe), given.head.data[0].numpy().T.shape, spacing=(2, 2, 2)
+    )
+    expected = d.warp(bent.head.data[0].numpy().T, filter="linear", inverse=True)
+    np.testing.assert_array_equal(back.head.data[0].numpy().T, expected)
+    assert set(np.unique(back.labels.data)) <= set(np.unique(given.labels.data))
+    off, before = ((one.head.data.float() - given.head.data).abs().mean() for one in (back, bent))
+    assert off < 0.5 * before
+    assert "invert=True" in repr(bent.history[0].inverse())
+
+
 def test_a_picture_is_bent_in_its_plane() -> None:
     rng = np.random.default_rng(0)
     image = tio.ScalarImage(tensor=torch.from_numpy(rng.random((3, 60, 40, 1), np.float32)))

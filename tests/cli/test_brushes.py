@@ -319,12 +319,23 @@ def test_a_mirror_makes_each_stroke_on_the_other_side(
         (("--mirror", "1,2:1,2"), "--mirror must be X, a column of pixels, or X,Y:X,Y"),
         (("--mirror", "nan"), "--mirror must be X, a column of pixels, or X,Y:X,Y"),
         (("--mirror", "20", "--grab", "20,5:22,6:24,8"), "two images there: begin beside it"),
+        (("--mirror", "20", "--grab", "20,5:25,5"), "starts on the line of --mirror 20, and its mirror image drags it"),
     ],
 )
 def test_no_mirror_is_one_line(run: Run, here: Path, arguments: tuple[str, ...], said: str) -> None:
     status, _, err = run("warp", "in.png", "out.png", "--grab", "12,16:15,18", "--radius", "5", *arguments)
     assert status == 2
     assert said in one_line(err)
+
+
+def test_a_matte_is_mirrored_about_an_upright_or_a_level_line(run: Run, here: Path) -> None:
+    height, width = image.read("in.png").pixels.shape[:2]
+    image.write("matte.png", np.full((height, width), 255, np.uint8))
+    strokes = ("--grab", "12,16:15,18", "--radius", "5", "--matte", "matte.png", "--mirror")
+    status, _, err = run("warp", "in.png", "out.png", *strokes, "22,0:27,39")
+    assert status == 2
+    assert "--mirror must be upright or level for a stroke with a --matte" in one_line(err)
+    assert run("warp", "in.png", "out.png", *strokes, "22,5:27,5")[0] == 0
 
 
 def test_a_mirror_needs_strokes_that_stay(run: Run, here: Path, inputs: Path) -> None:

@@ -239,9 +239,8 @@ def test_what_holds_an_array_is_no_array(tmp_path: Path) -> None:
     image = SimpleITK.GetImageFromArray(samples)
     proxied = nibabel.Nifti1Image(samples.T, np.eye(4))
     for given, told in (
-        (image, "an image of SimpleITK: give SimpleITK.GetArrayViewFromImage(image)"),
-        ([image], "an image of SimpleITK"),
-        (proxied, "an image of nibabel: give numpy.asanyarray(image.dataobj).T"),
+        ([image], "an image of SimpleITK: give it to Deformation.warp, or its array"),
+        ([proxied], "an image of nibabel: give it to Deformation.warp, or its array"),
         (pydicom.Dataset(), "a data set of pydicom: give its pixel_array"),
         (Volume(samples, Geometry()), "a volume: give its samples"),
         ("in.nii", "the name of a file: supple.warp_file warps files"),

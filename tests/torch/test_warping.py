@@ -365,3 +365,16 @@ def test_damped_numbers_warn_once_and_as_deformations_do() -> None:
             by=far,
         )
     assert [w.category for w in caught] == [FoldWarning]
+
+
+def test_the_inverse_is_that_of_arrays_and_has_gradients_of_tensors() -> None:
+    d = supple.Deformation((24, 30)).grab((12, 10), by=(4, 2), radius=8)
+    tensor = torch.rand(2, 24, 30, dtype=torch.float64, requires_grad=True)
+    made = bending.warp(tensor, d, inverse=True, tolerance=1e-4)
+    for one, given in zip(made.detach(), tensor.detach(), strict=True):
+        expected = d.warp(given.numpy(), filter="linear", inverse=True, tolerance=1e-4)
+        np.testing.assert_allclose(one.numpy(), expected, atol=1e-3)
+    assert torch.autograd.gradcheck(lambda t: bending.warp(t, d, inverse=True), tensor)
+    by = torch.tensor([[4.0, 2.0]], requires_grad=True)
+    with pytest.raises(supple.SuppleError, match="inverse must be False where strokes need gradients"):
+        bending.warp(tensor, d, by=by, inverse=True)

@@ -295,7 +295,38 @@ struct Mixing {
         }
         return any(k, n, times);
     }
+    // Those of a cubic alone, as `time_weights` has them, of all lanes at once: without averages, and where no frame is
+    // missing, which is nearly everywhere. False elsewhere, and of too many frames.
+    INLINE bool cubics(int k, int n, Times& times) const {
+        typedef double Doubles __attribute__((vector_size(BLOCK * sizeof(double))));  // two registers
+        constexpr Eights lane = {0, 1, 2, 3, 4, 5, 6, 7};
+        const Eights whole = first_of(row.whole[2] + k, n);
+        Eight part = load<float, BLOCK>(row.part[2] + k), rate = load<float, BLOCK>(row.depth2 + k);
+        part = lane < n ? part : part[0];
+        rate = lane < n && job.average ? rate : Eight{};
+        if (most_of(Eights((part >= 0) & (part < 1) & (rate <= 1))) != -1) return false;
+        const Doubles base = __builtin_convertvector(whole, Doubles);
+        const Doubles f = (base + __builtin_convertvector(part, Doubles)) - base;
+        const Eights still = Eights(__builtin_convertvector(f, Eight) == 0), lower = still ? whole : whole - 1;
+        times.first = least_of(lower) - span.first;
+        times.count = most_of(still ? whole + 1 : whole + 3) - span.first - times.first;
+        if (times.count > Times::MOST || times.first < 0 || times.first + times.count > span.last - span.first + 1)
+            return false;
+        for (int i = 0; i < times.count; i++)
+            if (!frames[times.first + i]) return false;
+        const Doubles taps[4] = {0.5 * f * (f * (2 - f) - 1), 0.5 * (f * f * (3 * f - 5) + 2),
+                                 0.5 * f * (f * (4 - 3 * f) + 1), 0.5 * f * f * (f - 1)};
+        for (int i = 0; i < times.count; i++) {
+            const Eights own = times.first + span.first + i - whole + 1;
+            times.weight[i] = Eight{};
+            for (int j = 0; j < 4; j++)
+                times.weight[i] = own == j ? __builtin_convertvector(taps[j], Eight) : times.weight[i];
+        }
+        return true;
+    }
     NOINLINE bool any(int k, int n, Times& times) const {
+        if (job.between == BETWEEN_CUBIC && cubics(k, n, times)) return true;
+        times.first = std::numeric_limits<int>::max();
         int end = 0;
         std::fill(times.weight, times.weight + Times::MOST, Eight{});
         for (int pass = 0; pass < 2; pass++)

@@ -255,7 +255,7 @@ def apply(
     )
 
 
-def moved_boxes(deformation: Deformation, boxes: npt.ArrayLike) -> Floats:
+def moved_boxes(deformation: Deformation, boxes: npt.ArrayLike, *, inverse: bool = False) -> Floats:
     """Return the smallest boxes around bent boxes.
 
     A bent box reaches farthest between its corners, so its edges are followed (the faces, in a volume): at a sixteenth
@@ -267,6 +267,8 @@ def moved_boxes(deformation: Deformation, boxes: npt.ArrayLike) -> Floats:
     boxes : array_like, shape (N, 2 D)
         The lower corner and the upper one, in the coordinates of points: ``(x0, y0, x1, y1)`` or ``(x0, y0, z0, x1, y1,
         z1)``. The box around a whole picture is ``(-0.5, -0.5, W - 0.5, H - 0.5)``.
+    inverse : bool
+        Whether they are bent by T⁻¹ in place of T.
 
     Returns
     -------
@@ -286,7 +288,8 @@ def moved_boxes(deformation: Deformation, boxes: npt.ArrayLike) -> Floats:
     step = max(step, 0.5 * spacing.min()) if not deformation.maps else 0.5 * float(spacing.min())
     counts, reached = np.ceil((high - low) * spacing / step).astype(int) + 1, _reached(deformation)
     followed = [_outline(*box, reached) for box in zip(low, high, counts, strict=True)]
-    moved = deformation.forward(np.concatenate(followed))
+    edges = np.concatenate(followed)
+    moved = deformation.inverse(edges).points if inverse else deformation.forward(edges)
     firsts = np.cumsum([0, *(len(some) for some in followed[:-1])])
     return np.concatenate([np.minimum.reduceat(moved, firsts), np.maximum.reduceat(moved, firsts)], axis=1)
 

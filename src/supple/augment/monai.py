@@ -11,7 +11,15 @@ from collections.abc import Hashable, Mapping, Sequence
 from typing import Any
 
 from supple.augment.elastic import RandomElastic as Drawing
-from supple.augment.peers import bent_tensor, edged_tensor, filter_of, moved_tensor, need_library, spacing_of
+from supple.augment.peers import (
+    bent_tensor,
+    deformation_of,
+    edged_tensor,
+    filter_of,
+    moved_tensor,
+    need_library,
+    spacing_of,
+)
 from supple.deformation import Deformation
 from supple.space.checks import refuse
 from supple.space.domain import Border
@@ -21,8 +29,15 @@ import torch
 from monai.config import KeysCollection
 from monai.data import MetaTensor
 from monai.data.meta_obj import get_track_meta
-from monai.transforms import MapTransform, RandomizableTransform
-from monai.utils import TransformBackends, convert_to_dst_type, convert_to_tensor, ensure_tuple, ensure_tuple_rep
+from monai.transforms import InvertibleTransform, MapTransform, RandomizableTransform
+from monai.utils import (
+    TraceKeys,
+    TransformBackends,
+    convert_to_dst_type,
+    convert_to_tensor,
+    ensure_tuple,
+    ensure_tuple_rep,
+)
 
 __all__ = ["RandElastic", "RandElasticD", "RandElasticDict", "RandElasticd"]
 
@@ -30,8 +45,8 @@ _FILTERS = {"nearest": "nearest", "bilinear": "linear", "bicubic": "cubic"}
 _PADDING = {"border": "edge", "reflection": "reflect", "zeros": "constant"}
 
 
-class _Randomized(RandomizableTransform):
-    """What both transforms share: a draw."""
+class _Randomized(RandomizableTransform, InvertibleTransform):
+    """What both transforms share: a draw, and its trace in what was bent, by which ``inverse`` bends it back."""
 
     drawing: Drawing
     deformation: Deformation | None = None
@@ -41,6 +56,23 @@ class _Randomized(RandomizableTransform):
         """Draw the deformation of an image (C, *spatial)."""
         super().randomize(None)
         self.deformation = _drawn(self.drawing, img, self.R) if self._do_transform else None
+
+    def _traced(self, img: torch.Tensor, mode: str, padding: str) -> torch.Tensor:
+        """Return an image, bent by the last draw if there is one, with the recipe in its trace."""
+        d, extra = self.deformation, {}
+        if d is not None:
+            recipe, spacing = d.recipe.to_json(), list(d.domain.spacing)
+            extra = {"recipe": recipe, "spacing": spacing, "mode": mode, "padding_mode": padding}
+            img = _bent(d, img, mode, padding)
+        return self.push_transform(img, extra_info=extra)
+
+    def _undone(self, img: torch.Tensor) -> tuple[torch.Tensor, Deformation | None]:
+        """Return an image, bent back by the recipe in its trace, and the deformation, if it was bent."""
+        extra = self.pop_transform(img)[TraceKeys.EXTRA_INFO]
+        if not extra:
+            return img, None
+        d = deformation_of(extra["recipe"], tuple(img.shape[:0:-1]), spacing_of(extra["spacing"]))
+        return _bent(d, img, extra["mode"], extra["padding_mode"], inverse=True), d
 
 
 class RandElastic(_Randomized):
@@ -81,9 +113,11 @@ class RandElastic(_Randomized):
         held = convert_to_tensor(img, track_meta=get_track_meta())
         if randomize:
             self.randomize(held)
-        if self.deformation is None:
-            return held
-        return _bent(self.deformation, held, self.mode if mode is None else mode, self.padding_mode)
+        return self._traced(held, self.mode if mode is None else mode, self.padding_mode)
+
+    def inverse(self, data: torch.Tensor) -> torch.Tensor:
+        """Return an image that was bent (a ``MetaTensor``, which has the trace), bent back by the exact inverse map."""
+        return self._undone(data)[0]
 
 
 class RandElasticd(_Randomized, MapTransform):
@@ -141,19 +175,34 @@ class RandElasticd(_Randomized, MapTransform):
         if not held:
             return made
         self.randomize(made[held[0][0]])
-        d = self.deformation
-        if d is None:
-            return made
         for key, mode, padding in held:
-            made[key] = _bent(d, made[key], mode, padding)
+            made[key] = self._traced(made[key], mode, padding)
+        if (d := self.deformation) is not None:
+            self._move(made, d)
+        return made
+
+    def inverse(self, data: Mapping[Hashable, Any]) -> dict[Hashable, Any]:
+        """Return a dictionary whose images and labels (``MetaTensor``), points and boxes are bent back.
+
+        That is by the exact inverse map, which the trace of the images has. Boxes become those around what is bent
+        back, which are larger than the first ones.
+        """
+        made, d = dict(data), None
+        for key in self.key_iterator(made):
+            made[key], d = self._undone(made[key])
+        if d is not None:
+            self._move(made, d, inverse=True)
+        return made
+
+    def _move(self, made: dict[Hashable, Any], d: Deformation, *, inverse: bool = False) -> None:
+        """Replace the points and boxes of a dictionary by moved ones."""
         for keys, move in ((self.point_keys, moved_tensor), (self.box_keys, edged_tensor)):
             for key in keys:
                 if key in made:
                     points = convert_to_tensor(made[key], track_meta=isinstance(made[key], MetaTensor))
-                    made[key] = convert_to_dst_type(move(d, torch.as_tensor(points)), points)[0]
+                    made[key] = convert_to_dst_type(move(d, torch.as_tensor(points), inverse=inverse), points)[0]
                 elif not self.allow_missing_keys:
                     raise KeyError(f"Key `{key}` of transform `{type(self).__name__}` was missing in the data")
-        return made
 
 
 RandElasticD = RandElasticDict = RandElasticd
@@ -168,11 +217,11 @@ def _drawn(drawing: Drawing, img: torch.Tensor, state: Any) -> Deformation:
     return drawing.draw(shape[::-1], seed, spacing=spacing_of(spacing))
 
 
-def _bent(d: Deformation, img: torch.Tensor, mode: str, padding: str) -> torch.Tensor:
+def _bent(d: Deformation, img: torch.Tensor, mode: str, padding: str, *, inverse: bool = False) -> torch.Tensor:
     kind, outside = filter_of("mode", mode, _FILTERS), filter_of("padding_mode", padding, _PADDING)
     if tuple(img.shape[1:]) != d.shape[::-1]:
         refuse("img", f"of spatial size {d.shape[::-1]}, as the first image", told=f"shape {tuple(img.shape)}")
     held = img.as_tensor() if isinstance(img, MetaTensor) else img
     turned = (0, *range(d.ndim, 0, -1))  # x is MONAI's first axis, and Supple's last one
-    made = bent_tensor(d, held.permute(turned), kind, outside).permute(turned).contiguous()
+    made = bent_tensor(d, held.permute(turned), kind, outside, inverse=inverse).permute(turned).contiguous()
     return convert_to_dst_type(made, img)[0]

@@ -59,28 +59,32 @@ def bent_stack(d: Deformation, images: npt.NDArray[Any], filter: str, outside: s
     return np.asarray(made)
 
 
-def bent_tensor(d: Deformation, tensor: torch.Tensor, filter: str, outside: str) -> torch.Tensor:
-    """Return a tensor (..., *shape), each part of which is bent."""
+def bent_tensor(
+    d: Deformation, tensor: torch.Tensor, filter: str, outside: str, *, inverse: bool = False
+) -> torch.Tensor:
+    """Return a tensor (..., *shape), each part of which is bent, or bent back."""
     from supple.torch import warp
 
     one_thread_in_workers()
-    return warp(tensor.reshape(-1, *d.shape), d, filter=filter, outside=outside).reshape(tensor.shape)
+    flat = tensor.reshape(-1, *d.shape)
+    return warp(flat, d, inverse=inverse, filter=filter, outside=outside).reshape(tensor.shape)
 
 
-def edged(d: Deformation, boxes: npt.NDArray[Any]) -> Floats:
+def edged(d: Deformation, boxes: npt.NDArray[Any], *, inverse: bool = False) -> Floats:
     """Return moved boxes (N, 2 D) of libraries where a picture's edge is at 0, and not half a sample before it."""
-    return moved_boxes(d, np.asarray(boxes, np.float64) - 0.5) + 0.5
+    return moved_boxes(d, np.asarray(boxes, np.float64) - 0.5, inverse=inverse) + 0.5
 
 
-def moved_tensor(d: Deformation, points: torch.Tensor) -> torch.Tensor:
-    """Return points (..., D), in their type: whole numbers are rounded."""
-    return _like(points, d.forward(points.detach().cpu().numpy().astype(np.float64)))
+def moved_tensor(d: Deformation, points: torch.Tensor, *, inverse: bool = False) -> torch.Tensor:
+    """Return points (..., D), moved or moved back, in their type: whole numbers are rounded."""
+    given = points.detach().cpu().numpy().astype(np.float64)
+    return _like(points, d.inverse(given).points if inverse else d.forward(given))
 
 
-def edged_tensor(d: Deformation, boxes: torch.Tensor) -> torch.Tensor:
+def edged_tensor(d: Deformation, boxes: torch.Tensor, *, inverse: bool = False) -> torch.Tensor:
     """Return boxes (..., 2 D) as `edged` does, in their type: whole numbers are rounded."""
     flat = boxes.detach().cpu().numpy().reshape(-1, 2 * d.ndim)
-    return _like(boxes, edged(d, flat).reshape(tuple(boxes.shape)))
+    return _like(boxes, edged(d, flat, inverse=inverse).reshape(tuple(boxes.shape)))
 
 
 def _like(given: torch.Tensor, values: Floats) -> torch.Tensor:

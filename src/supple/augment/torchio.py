@@ -75,6 +75,8 @@ class RandomElastic(RandomTransform, SpatialTransform):
 class Elastic(SpatialTransform):
     """Bend the images and label maps of a subject by a recipe, such as `RandomElastic` has drawn.
 
+    Its ``inverse()``, as ``subject.apply_inverse_transform()`` calls it, bends them back by the exact inverse map.
+
     Parameters
     ----------
     recipe : str
@@ -97,7 +99,7 @@ class Elastic(SpatialTransform):
         **kwargs: Any,
     ) -> None:
         super().__init__(**kwargs)
-        self.recipe, self.outside = recipe, outside
+        self.recipe, self.outside, self.invert_transform = recipe, outside, False
         self.image_interpolation, self.label_interpolation = image_interpolation, label_interpolation
         filter_of("image_interpolation", image_interpolation, _FILTERS)
         filter_of("label_interpolation", label_interpolation, _FILTERS)
@@ -114,7 +116,7 @@ class Elastic(SpatialTransform):
                 kind = self.image_interpolation if scalar else self.label_interpolation
                 # TorchIO's axes are x, y and z; a picture has one slice.
                 tensor = image.data[..., 0].permute(0, 2, 1) if d.ndim == 2 else image.data.permute(0, 3, 2, 1)
-                made = bent_tensor(d, tensor, kind, self.outside)
+                made = bent_tensor(d, tensor, kind, self.outside, inverse=self.invert_transform)
                 image.set_data((made[:, None] if d.ndim == 2 else made).permute(0, 3, 2, 1).contiguous())
         return subject
 

@@ -512,10 +512,20 @@ class StrokeOptions:
         more = (0.0,) * (found[0].stroke.ndim - 2)
         made: list[list[_Given]] = []
         for one in found:
+            if one.stroke.matte is not None and x != a and y != b:
+                raise SuppleError(
+                    f"--mirror must be upright or level for a stroke with a --matte, which is mirrored too, found "
+                    f"{self.mirror!r}"
+                )
             try:
                 both = one.stroke.symmetric((x, y, *more), (b - y, x - a, *more))
             except SuppleError as error:
                 raise SuppleError(f"{one.told}: {error}") from None
+            if len(both) == 1 and both[0].is_still and not one.stroke.is_still:
+                raise SuppleError(
+                    f"{one.told} starts on the line of --mirror {self.mirror}, and its mirror image drags it back: "
+                    "drag it along the line, or begin beside it"
+                )
             made.append([replace(one, stroke=stroke) for stroke in both])
         self._sizes = list(map(len, made))
         return [*chain(*made)]

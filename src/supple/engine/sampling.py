@@ -128,6 +128,11 @@ class Sampling:
             )
         return made
 
+    def along_all_axes(self) -> Sampling:
+        """Return the sampling of a volume, whose slices are sampled as its rows and columns are."""
+        between = "cubic" if self.filter in ("auto", "cubic", "labels") else None
+        return replace(self, between=between, time_filter=self.filter == "auto")
+
     def filled(self, channels: int, dtype: np.dtype[Any], *, finite: bool = True) -> Sampling:
         """Return a copy with one fill value for each channel, in the range of the sample type.
 

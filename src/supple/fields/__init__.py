@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
-from typing import Literal, Self, get_args
+from typing import TYPE_CHECKING, Any, Literal, Self, get_args
 
 import numpy as np
 import numpy.typing as npt
@@ -21,6 +21,9 @@ from supple.space.checks import choice, number, refuse
 from supple.space.domain import FREE
 from supple.space.geometry import Box, Floats, Grid, check_boxes
 from supple.space.splines import coefficients
+
+if TYPE_CHECKING:
+    from supple.media import transforms
 
 PathLike = str | os.PathLike[str]
 Interpolation = Literal["linear", "cubic", "bspline"]
@@ -107,6 +110,17 @@ class Field:
     def ndim(self) -> int:
         """The number of coordinates: 2 or 3."""
         return self.grid.ndim
+
+    def __call__(self, positions: npt.ArrayLike) -> Floats:
+        """Return the positions x + u(x) of positions x, (..., D), in the grid's units."""
+        given = np.asarray(positions, np.float64)
+        if given.shape[-1:] != (self.ndim,) or not np.isfinite(given).all():
+            refuse("positions", f"finite numbers of shape (..., {self.ndim})", positions)
+        rows, part = np.zeros((given.size // self.ndim, 3)), Placed(self).packed(np.eye(self.ndim + 1))
+        rows[:, : self.ndim] = given.reshape(-1, self.ndim)
+        composite = _core.Composite(self.ndim, np.array([FREE] * 3), [part])
+        moved, _, _ = composite.through(rows, False, False, np.zeros(len(rows), np.uint8))
+        return np.ascontiguousarray(moved[:, : self.ndim]).reshape(given.shape)
 
     def packed(self, frame: Floats) -> _core.Sampled:
         """Return the field as the core takes it.
@@ -265,7 +279,7 @@ class Field:
     @classmethod
     def read(
         cls,
-        path: PathLike,
+        path: PathLike | Any,
         convention: str | None = None,
         *,
         source: Grid | None = None,
@@ -275,8 +289,8 @@ class Field:
 
         Parameters
         ----------
-        path : str or os.PathLike
-            The file; see `supple.media.transforms` for the formats.
+        path : str, os.PathLike or SimpleITK.Transform
+            The file, or a transform of SimpleITK; see `supple.media.transforms` for the formats.
         convention : str, optional
             The program whose convention the file follows: ``"itk"`` (ITK, ANTs, 3D Slicer), ``"fsl-relative"``,
             ``"fsl-absolute"``, ``"afni"``, ``"mrtrix"``, ``"ngff"``, ``"opencv"``, ``"stmap"``, ... By default, that
@@ -293,8 +307,9 @@ class Field:
         found = read_maps(path, convention, source=source, reference=reference)
         only = found[0] if len(found) == 1 else None
         if not isinstance(only, Field):
+            name = shown(path) if isinstance(path, str | os.PathLike) else "the transform"
             raise SuppleError(
-                f"{shown(path)} holds {told(found)}, and not one field: read_maps(path) reads them (supple compose "
+                f"{name} holds {told(found)}, and not one field: read_maps(path) reads them (supple compose "
                 "makes one field of them)"
             )
         return cls(only.values, only.grid, only.interpolation, only.beyond)
@@ -411,15 +426,19 @@ def folds_of(maps: Iterable[Placed]) -> str:
 
 
 def read_maps(
-    path: PathLike, convention: str | None = None, *, source: Grid | None = None, reference: Grid | None = None
+    path: PathLike | Any, convention: str | None = None, *, source: Grid | None = None, reference: Grid | None = None
 ) -> tuple[Map, ...]:
     """Read the affine maps and fields of a file, in the order in which a point of the output goes through them.
 
-    Parameters and errors are those of `Field.read`.
+    Parameters and errors are those of `Field.read`. In place of a name, ``path`` may be a transform of SimpleITK: an
+    affine one of any kind, a displacement field, a cubic B-spline, or a composite of these.
     """
     from supple.media import transforms
 
-    found = transforms.read(path, convention, source=source, reference=reference)
+    if isinstance(path, str | os.PathLike):
+        found = transforms.read(path, convention, source=source, reference=reference)
+    else:
+        found = transforms.itk.contents_of(path)
     return tuple(Field(*each) if isinstance(each, transforms.Displacements) else Affine(each) for each in found)
 
 
@@ -438,13 +457,44 @@ def write_maps(
     """
     from supple.media import transforms
 
-    contents: list[transforms.Content] = [
+    transforms.write(path, _contents(maps), convention, source=source, reference=reference, force=force)
+
+
+def to_sitk(*maps: Map) -> Any:
+    """Return the transform of SimpleITK of one map, or the composite of several; a point goes through the first first.
+
+    Parameters
+    ----------
+    *maps : Field or Affine
+        In millimetres in LPS, or in the units of images of two axes. What a field does beyond its grid is not kept:
+        ITK moves nothing there.
+
+    Returns
+    -------
+    SimpleITK.AffineTransform, DisplacementFieldTransform, BSplineTransform or CompositeTransform
+        `read_maps` is its inverse.
+
+    Raises
+    ------
+    SuppleError
+        If an argument is no such map, or a field is of ``"cubic"`` interpolation.
+    """
+    if not maps or not all(isinstance(each, Field | Affine) for each in maps):
+        refuse("maps", "one or more of Field and Affine", maps)
+    from supple.media import transforms
+
+    return transforms.itk.transform_of(_contents(maps))
+
+
+def _contents(maps: Sequence[Map]) -> list[transforms.Content]:
+    from supple.media import transforms
+
+    return [
         transforms.Displacements(each.values, each.grid, each.interpolation, each.beyond)
         if isinstance(each, Field)
         else each.matrix
         for each in maps
     ]
-    transforms.write(path, contents, convention, source=source, reference=reference, force=force)
 
 
 def told(maps: Sequence[Map]) -> str:

@@ -16,6 +16,7 @@ from supple.fields import Field, Map, Placed, own_grid, read_maps, told
 from supple.media import transforms, volume
 from supple.media.files import PathLike, unwritable
 from supple.media.medium import picture_grid
+from supple.media.objects import held
 from supple.media.volume import is_volume, suffix_of
 from supple.space.affine import Affine, Projective
 from supple.space.geometry import Grid, check_upright
@@ -98,8 +99,13 @@ def _lifted(flat: Map, grid: Grid) -> Map:
     return Field(np.repeat(values[None], count, axis=0), place, flat.interpolation, flat.beyond)
 
 
-def grid_of(path: PathLike) -> Grid:
-    """Return the grid of a volume, a field in the file of a volume, or a picture."""
+def grid_of(path: PathLike | Any) -> Grid:
+    """Return the grid of a volume, a field in the file of a volume, or a picture; or of an image in memory.
+
+    ``path`` is the name of the file, or an image of SimpleITK or nibabel.
+    """
+    if (image := held(path)) is not None:
+        return image.grid
     if not is_volume(path):
         return picture_grid(path)
     outline = volume.outline_of(path)

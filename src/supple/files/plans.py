@@ -21,7 +21,7 @@ from supple.fields import folds_of, only_name
 from supple.files.grids import grid_on
 from supple.files.jobs import Job
 from supple.files.tasks import Runner, Running, runner_of
-from supple.files.volumes import deformation_of, filtered, sampling_of
+from supple.files.volumes import deformation_of, filtered
 from supple.media.files import is_store, unreadable
 from supple.media.stores.image import StoredImage, open_image
 from supple.media.stores.inputs import Samples, like_file
@@ -198,7 +198,7 @@ def warp_on(source: Source, job: Job) -> Warp:
         fitted = fit_recipe(job.recipe, (width, height), job.fit, source.name)
         deformation = Deformation.from_recipe(fitted, source.grid, maps=maps, warn=False)
     else:
-        sampling = sampling_of(sampling)
+        sampling = sampling.along_all_axes()
         regrid = grid_on(job.grid, source.grid, source.name, maps)
         volume = Volume(whole, source.geometry, source.name)
         deformation = deformation_of(job.recipe, volume, world=known.world, fit=job.fit, maps=maps)

@@ -177,12 +177,6 @@ def filtered(job: Job) -> Sampling:
     return replace(job.sampling, filter=wanted) if job.volume.labels else job.sampling
 
 
-def sampling_of(sampling: Sampling) -> Sampling:
-    """Return the sampling options of a volume, equal along all three axes."""
-    between = "cubic" if sampling.filter in ("auto", "cubic", "labels") else None
-    return replace(sampling, between=between, time_filter=sampling.filter == "auto")
-
-
 def warp_volume(
     source: PathLike,
     target: PathLike,
@@ -205,7 +199,7 @@ def warp_volume(
 def warp(job: Job, tell: Tell) -> Warped:
     """Warp a volume, as in `warp_volume`, whose names and options are checked."""
     source, target, known, grid, maps = job.source, job.target, job.volume, job.grid, job.maps
-    sampling = sampling_of(filtered(job))
+    sampling = filtered(job).along_all_axes()
     tell("read", 0, 1)
     volume = open_volume(source, known)
     if grid is None:

@@ -128,3 +128,10 @@ def checked_spacing(spacing: object, ndim: int) -> tuple[float, ...]:
     wanted = f"one number, or {ndim} of them (x first) for a shape of {ndim} axes"
     steps = items("spacing", spacing, wanted, (ndim,))
     return tuple(length(f"spacing[{i}]", step) for i, step in enumerate(steps))
+
+
+def library_of(value: object) -> str:
+    """Return the library whose image or transform an object is, "SimpleITK" or "nibabel"; "" if it is none."""
+    roots = {each.__module__.partition(".")[0] for each in type(value).__mro__}
+    known = (("SimpleITK", "GetDimension"), ("nibabel", "dataobj"))
+    return next((root for root, has in known if root in roots and hasattr(value, has)), "")

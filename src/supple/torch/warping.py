@@ -43,6 +43,7 @@ def warp(
     at: torch.Tensor | None = None,
     by: torch.Tensor | None = None,
     radius: torch.Tensor | None = None,
+    inverse: bool = False,
     sampling: Sampling = _LINEAR,
     **options: Unpack[SamplingFields],
 ) -> torch.Tensor:
@@ -59,6 +60,8 @@ def warp(
         brushes other than grabs are 0, and have no gradients.
     radius : tensor of shape (n,), or (N, n), optional
         Replacements of their radii, in physical units.
+    inverse : bool
+        Whether to apply T⁻¹ in place of T, as in `supple.Deformation.warp`; without gradients of strokes.
     sampling : Sampling, optional
         How the tensor is sampled: without ``linear_light`` and ``time_filter``, and by ``filter="linear"`` by default.
         There are gradients for all filters but ``"auto"``. Of float64 tensors that require them, each point is solved.
@@ -95,6 +98,8 @@ def warp(
     strokes_wanted = any(own for _, own in given)
     if (wanted or strokes_wanted) and sampling.filter not in _SMOOTH:
         refuse("filter", '"linear", "cubic" or "nearest" where gradients are needed', sampling.filter)
+    if strokes_wanted and inverse:
+        refuse("inverse", "False where strokes need gradients", inverse)
     if strokes_wanted and not tensor.is_floating_point():
         refuse("tensor", "of floats where strokes need gradients", told=str(tensor.dtype))
     channels = tensor.shape[-axes - 1] if tensor.ndim > axes else 1
@@ -103,7 +108,8 @@ def warp(
         return tensor.clone()
     parts = tensor.reshape(len(given), -1, *shape)
     sampling = replace(sampling, fill=tuple(np.resize(colours, parts.shape[1]).tolist()))
-    results = [_warped(part, *own, sampling) for part, own in zip(parts, given, strict=True)]
+    spaces = [d.space_on(None, check=False, inverse=inverse) for d, _ in given]
+    results = [_warped(*each, sampling) for each in zip(parts, spaces, given, strict=True)]
     return (torch.stack(results) if batch else results[0]).reshape(tensor.shape)
 
 
@@ -171,9 +177,11 @@ def _check(tensor: object, shape: tuple[int, ...], count: int | None) -> None:
         refuse("tensor", wanted, told=f"shape {tuple(tensor.shape)}")
 
 
-def _warped(tensor: torch.Tensor, d: Deformation, given: Given, sampling: Sampling) -> torch.Tensor:
+def _warped(
+    tensor: torch.Tensor, space: Space, deformed: tuple[Deformation, Given], sampling: Sampling
+) -> torch.Tensor:
     """Return one warped item, of shape (K, *shape)."""
-    space = d.space
+    d, given = deformed
     if not given and space.is_identity:
         return tensor.clone()
     if not given and not (torch.is_grad_enabled() and tensor.requires_grad):

@@ -21,6 +21,7 @@ from supple.media.transforms.affines import spelled
 from supple.media.transforms.fields import NIFTI, VECTOR, VECTORS, check_header, write_nifti
 from supple.media.volume import itk, nifti
 from supple.media.volume.data import reading
+from supple.space.checks import library_of, refuse
 from supple.space.geometry import Geometry, Grid
 
 SUFFIXES_OUT = (".nii", ".nii.gz", ".nrrd", ".mha", ".h5")
@@ -98,6 +99,27 @@ def _transforms(path: PathLike, suffix: str) -> tuple[base.Content, ...]:
     return tuple(_contents(path, sitk, whole))
 
 
+def contents_of(transform: Any) -> tuple[base.Content, ...]:
+    """Return the matrices and fields of a transform of SimpleITK; SuppleError if it holds anything else."""
+    if library_of(transform) != "SimpleITK" or not hasattr(transform, "TransformPoint"):
+        refuse("path", "the name of a file, or a transform of SimpleITK", transform)
+    if transform.GetDimension() not in (2, 3):
+        refuse("path", "a transform of 2 or 3 dimensions", told=f"one of {transform.GetDimension()}")
+    return tuple(_contents("the transform", itk.imported(), _kind_of(transform)))
+
+
+def transform_of(contents: Sequence[base.Content]) -> Any:
+    """Return the transform of SimpleITK that applies matrices and fields in order."""
+    made = [_made("the transform", content) for content in contents]
+    return made[0] if len(made) == 1 else itk.imported().CompositeTransform(made[::-1])
+
+
+def _kind_of(transform: Any) -> Any:
+    with contextlib.suppress(KeyError):  # a kind that SimpleITK's table of kinds lacks
+        transform = transform.Downcast()
+    return transform
+
+
 def _check_matlab(path: PathLike) -> None:
     """Raise SuppleError for matrices of MATLAB 4 that are cut short, as ITK would fill what is missing."""
     data, at = head_of(path, 1 << 16), 0
@@ -117,10 +139,7 @@ def _contents(path: PathLike, sitk: Any, transform: Any) -> list[base.Content]:
     if isinstance(transform, sitk.CompositeTransform):
         made: list[base.Content] = []
         for i in reversed(range(transform.GetNumberOfTransforms())):  # it applies first what was added last
-            part = transform.GetNthTransform(i)
-            with contextlib.suppress(KeyError):  # a kind that SimpleITK's table of kinds lacks
-                part = part.Downcast()
-            made += _contents(path, sitk, part)
+            made += _contents(path, sitk, _kind_of(transform.GetNthTransform(i)))
         return made
     interpolation: base.Interpolation
     if isinstance(transform, sitk.DisplacementFieldTransform):
@@ -171,8 +190,7 @@ def write(path: PathLike, contents: Sequence[base.Content], grids: base.Grids, *
         raise unwritable(path, f"a {suffix} file of ITK holds one affine map", many)
     if not contents:
         raise unwritable(path, "there is nothing to write", "give a map")
-    made = [_made(path, content) for content in contents]
-    whole = made[0] if len(made) == 1 else itk.imported().CompositeTransform(made[::-1])
+    whole = transform_of(contents)
     fields = [content.values.size for content in contents if isinstance(content, base.Displacements)]
     with replacing(path, force=force) as temporary:
         _write_transform(path, temporary, whole, sum(fields) * (8 if suffix == ".h5" else 25))
@@ -181,32 +199,34 @@ def write(path: PathLike, contents: Sequence[base.Content], grids: base.Grids, *
 def _made(path: PathLike, content: base.Content) -> Any:
     sitk = itk.imported()
     if not isinstance(content, base.Displacements):
-        return sitk.AffineTransform(content[:3, :3].ravel().tolist(), content[:3, 3].tolist())
+        return sitk.AffineTransform(content[:-1, :-1].ravel().tolist(), content[:-1, -1].tolist())
     if content.interpolation == "cubic":
         what = "ITK has no transform of a cubic B-spline through values"
         raise unwritable(path, what, "give its coefficients, or sample it on the grid of the output")
-    geometry = content.grid.geometry("LPS")
     if content.interpolation == "linear":
-        return _field_transform(content.values, geometry)
+        return _field_transform(content.values, content.grid)
     images = []
-    for axis in range(3):
+    for axis in range(content.grid.ndim):
         plane = np.ascontiguousarray(content.values[..., axis], np.float64)
-        images.append(_placed(sitk.GetImageFromArray(plane), geometry))
+        images.append(_placed(sitk.GetImageFromArray(plane), content.grid))
     return sitk.BSplineTransform(images, 3)
 
 
-def _field_transform(values: npt.NDArray[Any], geometry: Geometry) -> Any:
+def _field_transform(values: npt.NDArray[Any], geometry: Geometry | Grid) -> Any:
     sitk = itk.imported()
+    if values.ndim == 3:
+        image = sitk.GetImageFromArray(values.astype(np.float64), isVector=True)
+        return sitk.DisplacementFieldTransform(_placed(image, geometry))
     image = sitk.Image([int(n) for n in values.shape[2::-1]], sitk.sitkVectorFloat64, 3)
     for z, plane in enumerate(values):
         image[:, :, z] = sitk.GetImageFromArray(plane.astype(np.float64), isVector=True)
     return sitk.DisplacementFieldTransform(_placed(image, geometry))
 
 
-def _placed(image: Any, geometry: Geometry) -> Any:
+def _placed(image: Any, geometry: Geometry | Grid) -> Any:
     image.SetSpacing(geometry.spacing)
     image.SetOrigin(geometry.origin)
-    image.SetDirection(geometry.direction.ravel().tolist())
+    image.SetDirection(np.ravel(geometry.direction).tolist())
     return image
 
 

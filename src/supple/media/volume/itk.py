@@ -288,12 +288,12 @@ def _image(sitk: Any, samples: Array, like: Volume, form: str) -> Any:
     image.SetOrigin((*geometry.origin, 0.0) if like.series else geometry.origin)
     image.SetDirection(direction.ravel().tolist())
     if like.format == form:
-        for key, text in _header_of(samples, like).items():
+        for key, text in header_of(samples, like).items():
             image.SetMetaData(key, text)
     return image
 
 
-def _header_of(samples: Array, like: Volume) -> dict[str, str]:
+def header_of(samples: Array, like: Volume) -> dict[str, str]:
     """Return the header for new samples: without ranges of values, and with the extents of segments as they are now."""
     made = {key: text for key, text in (like.header or {}).items() if not _RANGE.match(key)}
     if like.regridded:  # it counts voxels from those of another grid

@@ -6,10 +6,14 @@ import contextlib
 import gzip
 import math
 import os
+import sys
 import warnings
 from collections.abc import Iterator
 from dataclasses import replace
+from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
+from types import ModuleType
 from typing import IO, Any, cast
 
 import numpy as np
@@ -30,12 +34,30 @@ _SAME = 0.01  # of a voxel: the largest difference of qform and sform by roundin
 _TO_RAS = np.diag([-1.0, -1.0, 1.0, 1.0])  # from LPS
 
 
-def imported() -> Any:
-    """Return nibabel, imported at the first use."""
-    need("volume", "NIfTI files", "nibabel")
-    import nibabel
+class _Later(ModuleType):
+    """A module that is imported where something of it is used."""
 
-    return nibabel
+    def __getattr__(self, name: str) -> Any:
+        return getattr(import_module(self.__name__), name)
+
+
+def imported() -> Any:
+    """Return nibabel, imported at the first use.
+
+    It imports pydicom, for an extension of NIfTI that few files have, and that takes longer than all of nibabel: it
+    gets a module that does so later.
+    """
+    need("volume", "NIfTI files", "nibabel")
+    if sys.modules.keys() & {"nibabel", "pydicom"} or find_spec("pydicom") is None:
+        import nibabel
+
+        return nibabel
+    later = sys.modules["pydicom"] = _Later("pydicom")
+    later.__dict__["Dataset"] = object  # of which nibabel makes an alias for type checkers
+    try:
+        return import_module("nibabel")
+    finally:
+        del sys.modules["pydicom"], later.__dict__["Dataset"]
 
 
 def read(path: PathLike, *, header_only: bool = False) -> Volume:

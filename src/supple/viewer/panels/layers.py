@@ -16,7 +16,7 @@ from supple.deformation import Deformation
 from supple.engine.sampling import Sampling
 from supple.errors import SuppleError
 from supple.fields import Placed
-from supple.files.volumes import background_of, sampling_of
+from supple.files.volumes import background_of
 from supple.media.volume import Volume
 from supple.media.volume.data import rescaled
 from supple.render.labels import LabelColours, labels_in
@@ -109,7 +109,7 @@ class Layer:
         first[axis], sizes[axis] = index, 1
         maps = () if known is None else known.maps
         space = bent.behind(maps, own).space_on(where.crop(first, sizes), self._own, check=False)
-        sampling = sampling_of(Sampling("nearest" if self._labels else "auto"))
+        sampling = Sampling("nearest" if self._labels else "auto").along_all_axes()
         if grid is not None or known is not None:
             sampling = replace(sampling, outside="constant", fill=self._fill)
         raw: Array = warp_array(self._samples, space, sampling, alpha=False)[0].squeeze(2 - axis)
