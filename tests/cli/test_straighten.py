@@ -140,3 +140,20 @@ def test_info_tells_of_it(run: Run) -> None:
         '{"supple": 3, "straighten": {"rotate": -2.5, "fit": "pad", "scale_to": [300]}, "strokes": []}'
     )
     assert "  straighten  turn -2.5°; size 300; pad\n" in run("info", "r.json")[1]
+
+
+def test_the_shape_that_tifffile_notes_is_not_passed_on(run: Run, tmp_path: Path) -> None:
+    tifffile = pytest.importorskip("tifffile")
+    tifffile.imwrite("in.tif", np.full((60, 80, 3), 9, np.uint8))
+    assert run("warp", "in.tif", "out.tif", "--rotate", "10")[0] == 0
+    with tifffile.TiffFile("out.tif") as file:
+        assert "shape" not in file.pages[0].description
+        assert file.series[0].shape == file.pages[0].shape
+
+
+def test_black_corners_of_a_jpeg_are_said(run: Run, tmp_path: Path) -> None:
+    pyvips.Image.black(60, 40, bands=3).copy(interpretation="srgb").jpegsave("in.jpg")
+    code, _, err = run("warp", "in.jpg", "out.jpg", "--rotate", "10", "--fit", "pad")
+    assert code == 0
+    assert "out.jpg holds no opacity, and the empty corners are black: --fill names a colour" in err
+    assert run("warp", "in.jpg", "white.jpg", "--rotate", "10", "--fit", "pad", "--fill", "255")[2] == ""

@@ -138,7 +138,8 @@ def _check(job: Job, paths: Sequence[str]) -> None:
         names.append(argument("device", job.device))
     if names:
         stored = next(path for path in paths if is_store(path))
-        raise SuppleError(f"{names[0]} is not for Zarr stores, and {shown(stored)} is one: leave it out")
+        verb, what = ("are", "them") if " and " in names[0] else ("is", "it")
+        raise SuppleError(f"{names[0]} {verb} not for Zarr stores, and {shown(stored)} is one: leave {what} out")
 
 
 def _facts(stored: WarpedStore) -> dict[str, Any]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+import warnings
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,7 @@ from supple.files.options import PathLike
 from supple.folding.resolved import warn_of_still
 from supple.media.files import check_output, replacing
 from supple.media.image import (
+    ImageWarning,
     Picture,
     check_compression,
     check_quality,
@@ -79,6 +81,9 @@ def warp(job: Job, tell: Tell) -> Warped:
     if straighten is not None and straighten.has_gaps and job.outside is None:
         sampling = replace(sampling, outside="constant")
         picture = with_opacity(picture, target)
+        if not picture.alpha:
+            what = "holds no opacity, and the empty corners are black"
+            warnings.warn(f"{shown(target)} {what}: {argument('fill')} names a colour", ImageWarning, stacklevel=3)
     bounded = picture.pixels.dtype.kind == "f" if job.clamp is None else job.clamp
     nearest, groups = replace(sampling, filter="nearest"), () if layers is None else layers.groups
     options: dict[str, Any] = {"clamp": bounded, "device": job.device, "name": name}

@@ -189,7 +189,7 @@ def warp_on(source: Source, job: Job) -> Warp:
         volume = Volume(whole, Geometry(), source.name, scaling=source.scaling)
         sampling = replace(sampling, fill=volume.stored(sampling.fill))
     if job.recipe.straighten is not None:
-        raise SuppleError(f"straightening is for files of pictures, and {source.name} is a Zarr store: leave it out")
+        raise SuppleError("straightening is for files of pictures, and not to or from Zarr stores: leave it out")
     if source.geometry is None:
         if known.world:
             raise SuppleError(f"{argument('world')} is for volumes, and {source.name} is a picture: leave it out")

@@ -27,6 +27,7 @@ _SOUGHT = {269, 270, 271, 272, 305, 306, 315, 316, 18246, 18249, 33432, *range(4
 _MOST = 4096  # entries of a folder
 _ROOM = 2**24  # bytes in all
 _PREFIX = b"Exif\0\0"
+SHAPED = b'{"shape": '  # tifffile's description of an array, which may become one of another shape
 # for each type of value its bytes, and those that the byte order swaps
 _SIZES = {1: 1, 2: 1, 3: 2, 4: 4, 5: 8, 6: 1, 7: 1, 8: 2, 9: 4, 10: 8, 11: 4, 12: 8, 13: 4, 129: 1}
 _SIZES |= {16: 8, 17: 8, 18: 8}
@@ -107,7 +108,7 @@ class Reader:
                 continue
             if tag not in _BELOW:
                 value = self.value(entry)
-                if value is not None and value.data:
+                if value is not None and value.data and not value.data.startswith(SHAPED):
                     found[tag] = value
             elif tag not in _BELOW[parent]:
                 self.whole = False

@@ -102,6 +102,8 @@ def collected(path: PathLike, image: Any, form: str, turned: bool) -> tuple[dict
         if name.startswith(_KEPT) and (name != "iptc-data" or form == "JPEG"):
             with contextlib.suppress(UnicodeError):
                 header[name] = image.get(name)
+    if header.get("image-description", "").startswith(exif.SHAPED.decode()):
+        del header["image-description"]
     if "xmp-data" in header:  # it may repeat the orientation
         pattern = rb"(tiff:Orientation(?:=[\"']|>)\s*)[2-8]"
         header["xmp-data"] = _without_pictures(re.sub(pattern, rb"\g<1>1", header["xmp-data"]))
