@@ -32,9 +32,9 @@ def test_a_thaw_is_listed_as_one() -> None:
     free = Freeze.free((200, 300), (1.0, 1.0))
     first = free.painted((150, 100), 60, (1.0, 1.0))
     less = first.painted((150, 100), 20, (1.0, 1.0), frozen=False)
-    assert listed(Stroke.freeze(first), None).startswith("Freeze: ")
-    assert listed(Stroke.freeze(less), first).startswith("Thaw: ")
-    assert listed(Stroke.freeze(first), less).startswith("Freeze: ")
+    assert listed(Stroke.freeze(first)).startswith("Freeze: ")
+    assert listed(Stroke.freeze(less), before=first).startswith("Thaw: ")
+    assert listed(Stroke.freeze(first), before=less).startswith("Freeze: ")
 
 
 def test_the_radius_of_a_restoring_is_that_of_its_brush() -> None:
