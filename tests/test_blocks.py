@@ -292,7 +292,11 @@ def test_a_warp_and_its_blocks_can_be_sent() -> None:
 def test_a_field_is_prepared_once_for_all_blocks_and_is_not_sent_prepared(monkeypatch: pytest.MonkeyPatch) -> None:
     calls: list[object] = []
     prepared = Deformation.space_on
-    monkeypatch.setattr(Deformation, "space_on", lambda self, grid: calls.append(grid) or prepared(self, grid))
+    monkeypatch.setattr(
+        Deformation,
+        "space_on",
+        lambda self, grid, *rest, **more: calls.append(grid) or prepared(self, grid, *rest, **more),
+    )
     rng = np.random.default_rng(9)
     field = drawn(rng, Grid((12, 16), 8.0), 0.3, interpolation="cubic", beyond="edge")
     warp = Warp(Deformation((80, 100), border=None).field(field), Sampling())

@@ -273,3 +273,9 @@ def test_what_is_frozen_in_the_way_is_named() -> None:
     damped = Deformation((80, 80), freeze=left, on_fold="damp")
     with pytest.warns(FoldWarning, match=r"\(10, 30\), is let go, .*; a pull of 2 handles .* folds: damped to 0\.33"):
         damped.pull([(10, 30), (50, 40), (56, 40)], to=[(30, 30), (60, 40), (50, 40)], radius=9)
+
+
+def test_two_handles_with_one_target_are_refused_at_once() -> None:
+    grab = Stroke.grab((200, 100), to=(256, 150), radius=13).symmetric((256, 0), (1, 0))[0]
+    with pytest.raises(SuppleError, match=r"has one target for two: handle 1, at .*, and handle 2, at"):
+        Deformation((512, 512)).add(grab)

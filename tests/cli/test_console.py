@@ -192,6 +192,7 @@ def test_a_tolerance_that_float32_does_not_hold_is_told(run: Run) -> None:
 # What only Python asks for, and says: the command has none of it.
 FOR_PYTHON = (
     "a Recipe (Recipe.from_json reads one)",
+    "Deformation(supple.grid_of(image)",
     "a Recipe, as Recipe.from_json reads one",
     "requires_grad=True",
     "True or False",

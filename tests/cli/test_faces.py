@@ -193,7 +193,7 @@ def test_faces_of_many_pictures(run: Run, here: Path) -> None:
          "--grab must be a landmark and +DX,DY"),
         (("warp", "in/a.png", "x.png", "--grab", "10%,10%:3,4", "--radius", "9"), "--grab must be X,Y:X,Y"),
         (("warp", "in/a.png", "x.png", *GRAB[:2], "--radius", "q%"), "--radius must be a number of pixels"),
-        (("warp", "in/a.png", "x.png", *GRAB[:2], "--radius", "-3%"), "radius must be a number above 0"),
+        (("warp", "in/a.png", "x.png", *GRAB[:2], "--radius", "-3%"), "or a percentage, found '-3%'"),
         (("warp", "in/a.png", "x.png", *GRAB, "--landmarks", "marks"), "--landmarks is for landmarks and percentages"),
         (("warp", "in/a.png", "x.png", *GRAB, "--percent-of", "a:b"), "--percent-of is for landmarks and percentages"),
         (("warp", "in/a.png", "x.png", *GRAB[:2], "--radius", "9%", "--percent-of", "chin", "--landmarks", "marks"),
@@ -211,7 +211,7 @@ def test_faces_of_many_pictures(run: Run, here: Path) -> None:
         (("face", "in/a.png", "x.png", "--slim", "9", "--face", "0"), "--face must be the number of a face"),
         (("face", "in/a.png", "x.png", "--slim", "9", "--face", "2", "--landmarks", "marks"), "and no face 2"),
         (("face", "in/a.png", "x.png", "--slim", "9", "--landmarks", "marks"),
-         "there is no landmark jaw_left, which --slim needs: add it"),
+         "--slim needs jaw_left, jaw_right, of which there is no landmark: add it"),
         (("face", "head.nii.gz", "x.nii.gz", "--slim", "9"), "landmarks are of pictures, and head.nii.gz is a volume"),
     ],
 )  # fmt: skip

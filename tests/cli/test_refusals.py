@@ -28,10 +28,12 @@ WHOLE = {
     "view in.png": ("port",),
     "render in.nii o.png": ("smooth", "turntable", "time"),
     "plan in.zarr": ("threads",),
+    "face in.png o.png --slim 5": ("face",),
 }
 # How command lines begin, how they go on, and what is said of them; … stands for other words.
 REFUSED: dict[str, list[tuple[str, str]]] = {
     "warp in.png o.png GRAB": [
+        ("--labels smoth", "--labels must be nearest or smooth, or stand alone, found 'smoth'"),
         ("--poisson 0.51", "0.5"),
         ("--poisson nan", "nan"),
         ("--scales 4", "1, 2 or 3"),

@@ -270,3 +270,16 @@ def test_beyond_the_reach_of_strokes_there_is_no_error() -> None:
     assert 0 < found.error[0] < 1e-10
     assert found.error[1] == 0
     assert tuple(found.points[1]) == (35, 35, 35)
+
+
+def test_points_of_a_field_that_folds_are_said(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    z, y, x = np.mgrid[:16, :16, :16]
+    moved = np.stack([6 * np.sin(x / 1.5), 0 * y, 0 * z], axis=-1)
+    Field(moved, Grid((16, 16, 16))).write("fold.nii.gz", "itk")
+    samples = np.zeros((16, 16, 16), np.int16)
+    media.write("in.nii.gz", samples, media.Volume(samples, Geometry()))
+    Path("p.csv").write_text("l,p,s\n8,8,8\n")
+    status, _, err = run("points", "p.csv", "q.csv", "--on", "in.nii.gz", "--field", "fold.nii.gz")
+    assert status == 0
+    assert "where they lead to, a point is one of several" in " ".join(err.split())

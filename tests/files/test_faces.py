@@ -104,10 +104,10 @@ def test_few_landmarks_do_for_what_needs_them() -> None:
     few: Face = {name: FACE[name] for name in ("left_eye", "right_eye", "mouth_left", "mouth_right", "chin")}
     assert face_stroke(few, smile=10).handles
     assert face_stroke({name: at for name, at in few.items() if name != "mouth_left"}, smile=0).is_still
-    with pytest.raises(SuppleError, match="there is no landmark nose_left, which nose needs: add it"):
+    with pytest.raises(SuppleError, match="nose needs nose_left, nose_right, of which there is no landmark: add it"):
         face_stroke(few, nose=10)
     del few["left_eye"]
-    with pytest.raises(SuppleError, match="there is no landmark left_eye, which the size of a face needs"):
+    with pytest.raises(SuppleError, match="the size of a face needs left_eye, of which there is no landmark"):
         face_stroke(few, smile=10)
     with pytest.raises(SuppleError, match="left_eye and right_eye are at one place"):
         face_stroke({**few, "left_eye": few["right_eye"]}, smile=10)
@@ -154,3 +154,12 @@ def test_faces_are_found(tmp_path: Path) -> None:
     image.write(tmp_path / "none.png", portrait[400:])
     with pytest.raises(SuppleError, match=r"no face is found in .*none.png: put a file of its"):
         faces_of(tmp_path / "none.png")
+
+
+def test_what_lies_on_the_edge_of_a_picture_or_beyond_is_left_out() -> None:
+    size = (240, 300)  # cuts a part of the face, and of the pins around it
+    stroke = face_stroke(FACE, slim=15, size=size)
+    assert 8 < len(stroke.handles) < len(face_stroke(FACE, slim=15).handles)
+    Deformation(size[::-1]).add(stroke)
+    with pytest.raises(SuppleError, match="the face lies on the edge of the picture or beyond it"):
+        face_stroke(FACE, slim=15, size=(9, 9))

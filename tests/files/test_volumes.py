@@ -23,7 +23,7 @@ from supple.files import volumes
 from supple.files.freezing import read_freeze
 from supple.files.options import VolumeOptions
 from supple.files.stores import warp_store
-from supple.files.volumes import deformation_of, sampling_of, warp_volume
+from supple.files.volumes import deformation_of, warp_volume
 from supple.media import volume as media
 from supple.space.affine import Affine
 from supple.space.geometry import Geometry
@@ -88,7 +88,7 @@ def test_cubic_filters_of_volumes_are_those_of_the_reference(name: str) -> None:
     samples = made((18, 22, 20), np.float32)
     strokes = [supple.Stroke.grab((9, 12, 10), by=(4, -3, 2), radius=7)]
     d = supple.Deformation.from_recipe(supple.Recipe(strokes=strokes, border=None), samples.shape)
-    how = sampling_of(Sampling(name, 1e-4))
+    how = Sampling(name, 1e-4).along_all_axes()
     assert (how.between, how.time_filter) == ("cubic", name == "auto")
     options: dict[str, Any] = {"filter": how.filter, "between": how.between, "time_filter": how.time_filter}
     wanted = reference.warp_frames(samples, strokes, d.domain, **options)

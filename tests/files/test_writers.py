@@ -50,7 +50,12 @@ WRITERS: dict[str, tuple[tuple[str, ...], Callable[[Path, bool], object]]] = {
     ),
     "volume": (
         volume.SUFFIXES_OUT,
-        lambda path, force: volume.write(path, VOXELS, volume.Volume(VOXELS, Geometry()), force=force),
+        lambda path, force: volume.write(
+            path,
+            held := VOXELS.astype("i4" if ".mg" in path.suffix else "u2"),
+            volume.Volume(held, Geometry()),
+            force=force,
+        ),
     ),
     "field": (
         transforms.SUFFIXES_OUT,

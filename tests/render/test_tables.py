@@ -32,7 +32,7 @@ def patient(*, legs: bool = False, table: bool = True) -> npt.NDArray[np.int16]:
 @pytest.mark.parametrize("legs", [False, True])
 def test_a_table_is_left_out_and_legs_are_not(legs: bool) -> None:
     given = patient(legs=legs)
-    kept, apart = without_table(given)
+    kept, apart = without_table(given, (10, 10, 10))
     body, table = given == 40, np.zeros(given.shape, np.bool_)
     table[:, 31, 8:42] = True
     np.testing.assert_array_equal(kept[body], given[body])
@@ -44,10 +44,10 @@ def test_a_table_is_left_out_and_legs_are_not(legs: bool) -> None:
 
 def test_without_a_table_nothing_is_said_or_changed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     given = patient(table=False)
-    kept, apart = without_table(given)
+    kept, apart = without_table(given, (10, 10, 10))
     assert apart == 0
     np.testing.assert_array_equal(kept, given)
-    assert without_table(np.full((3, 3, 3), -1000, np.int16))[1] == 0
+    assert without_table(np.full((3, 3, 3), -1000, np.int16), (1, 1, 1))[1] == 0
     monkeypatch.chdir(tmp_path)
     stored("ct.nii", given)
     with warnings.catch_warnings():
@@ -66,7 +66,7 @@ def test_the_presets_of_ct_leave_it_out_unless_it_is_asked_for(
     stored("ct.nii", patient())
     small = (40, 40)
     with pytest.warns(
-        VolumeWarning, match=r"% of what is as dense as skin in ct.nii lies apart from the body.*: table"
+        VolumeWarning, match=r"% of what is as dense as skin in ct.nii is thin and lies beside the body.*: table"
     ):
         bare = render_file("ct.nii", "a.png", options=RenderOptions(transfer="ct-skin", size=small))
     with warnings.catch_warnings():
@@ -105,3 +105,21 @@ def test_other_transfer_functions_are_as_they_were() -> None:
         assert (levelled(transfer, samples, ends) is transfer) == (name != "grey")
     flat = levelled(PRESETS["grey"], np.zeros((3, 3, 3), np.uint8), (0.0, 0.0))
     assert flat.points[0][0] == pytest.approx(0.06)
+
+
+def test_no_part_of_a_patient_is_left_out() -> None:
+    given = patient(table=False)
+    given[10:20, 5:30, 2:5] = 60  # an arm beside the body, 3 cm thick
+    given[15, 18, 20:30] = -1000
+    given[14:17, 16:21, 22:29] = -1000  # a hollow,
+    given[15, 18, 25] = 60  # and in it what touches nothing
+    kept, apart = without_table(given, (10, 10, 10))
+    assert apart == 0
+    np.testing.assert_array_equal(kept, given)
+
+
+@pytest.mark.parametrize("kind", ["u1", "i1", "u2"])
+def test_a_preset_of_ct_for_other_values_draws(kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    stored("mr.nii", np.random.default_rng(0).integers(0, 90, (9, 9, 9)).astype(kind))
+    assert command(["render", "mr.nii", "a.png", "--size", "40x40", "--transfer", "ct-skin"]) == 0

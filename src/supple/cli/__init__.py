@@ -161,6 +161,9 @@ def _dispatch(arguments: Sequence[str]) -> None:
     for option, value in itertools.pairwise(arguments):
         if value == "-" and option in _OF_FILES:
             raise SuppleError(f"{option} - is not possible: - is for the files IN and OUT; name a file")
+        named = value in ("nearest", "smooth") or os.path.exists(value)
+        if option == "--labels" and value.isalpha() and not named:  # else it would be the name of a folder
+            raise SuppleError(f"--labels must be nearest or smooth, or stand alone, found {value!r}")
     arguments = [STREAM if argument == "-" else argument for argument in arguments]
     if STREAM in arguments and arguments[0] not in ("warp", "info", "points"):
         raise SuppleError("- for standard input or output is for warp, info and points: give the name of a file")

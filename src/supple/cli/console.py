@@ -31,12 +31,13 @@ PIPE_CLOSED = 141  # 128 + SIGPIPE, which Windows does not name
 # Arguments of the library that are options of the command.
 _NAMES = (
     "annotate between border border_profile clamp clip codec compression convention crf crop density device "
-    "distance elevation error eyes field_of_view fill filter first_frame fit flat force frame frames freeze "
-    "freeze_width from hold irregular jaw keystone labels landmarks linear_light lossless map memory mode nose "
-    "on_fold outside percent_of picture pixel_format plane poisson preset quality radius reach refer_to "
-    "reference resample roll rotate save_field scale_to scales scheduler series shape shear size slim smile "
-    "source spacing status step strength target time time_filter time_radius time_scale to tolerance track_frame "
-    "track_turn transfer turntable up workers world x y"
+    "distance elevation error eyes field_of_view fill filter first_frame fit fixed fixed_points flat force frame "
+    "frames freeze freeze_width from hold irregular jaw keystone label_colours labels landmarks legend "
+    "linear_light lossless map memory mode nose on_fold outside percent_of picture pixel_format plane poisson "
+    "preset quality radius reach refer_to reference resample roll rotate save_field scale_to scales scheduler "
+    "segmentation series shape shear size slim smile source spacing status step strength table target time "
+    "time_filter time_radius time_scale to tolerance track_frame track_turn transfer turntable up workers world "
+    "x y"
 )
 _OPTIONS = {name: f"--{name.replace('_', '-')}" for name in _NAMES.split()}
 _OPTIONS |= {"supersampling": "--smooth", "layout": "--shape, --dtype and --spacing", "rate": "--fps"}

@@ -27,12 +27,6 @@ def _percent(option: str, text: str) -> float:
     return percent
 
 
-def _whole(option: str, text: str) -> int:
-    if not (text.isascii() and text.isdecimal() and int(text) > 0):
-        raise SuppleError(f"{option} must be the number of a face, 1 for the largest, found {text!r}")
-    return int(text)
-
-
 _PERCENT = partial(read, _percent, "PERCENT", show_default=False)
 
 
@@ -67,7 +61,7 @@ class FaceOptions:
     nose: Annotated[float, _PERCENT()] = 0.0
     jaw: Annotated[float, _PERCENT()] = 0.0
     landmarks: Annotated[str | None, Parameter(metavar="FILE|DIR")] = None
-    face: Annotated[int | None, read(_whole, "N")] = None
+    face: Annotated[int | None, whole()] = None
 
 
 class _Strokes(StrokeOptions):
@@ -84,14 +78,15 @@ class _Strokes(StrokeOptions):
         percents = {name: getattr(self._options, name) for name in ADJUSTMENTS}
         if not any(percents.values()):
             raise SuppleError("nothing to do: give --slim, --eyes, --smile, --nose or --jaw, in percent")
+        if (face := self._options.face) is not None and face < 1:
+            raise SuppleError(f"--face must be the number of a face, 1 for the largest, found {face}")
         places.used = True
         if places.medium is None:
             return Recipe(strokes=(Stroke.grab((0, 0), by=(1, 1), radius=1),))
-        return Recipe(
-            strokes=tuple(
-                face_stroke(face, place=place, **percents) for place, face in places.chosen(self._options.face)
-            )
-        )
+        faces, grid = places.chosen(self._options.face), places.medium.grid
+        assert grid is not None
+        strokes = [face_stroke(face, place=place, size=grid.sizes, **percents) for place, face in faces]
+        return Recipe(strokes=tuple(strokes))
 
 
 _FACES = FaceOptions()
@@ -118,7 +113,7 @@ def face(
     paths
         Pictures to read, and last the file or folder to write.
     quality
-        Quality of JPEG (default 95), WebP and AVIF (90), from 1 to 100.
+        Quality of JPEG (default that of the input, or 95), WebP and AVIF (90), from 1 to 100.
     lossless
         Write WebP and AVIF without loss. PNG and TIFF are always lossless.
     save_recipe

@@ -451,6 +451,8 @@ class StrokeOptions:
             raise SuppleError(f"{found[0][0]} needs a --radius: how far it is felt, in pixels or millimetres")
         count = len(found)
         wanted = "a number of pixels or millimetres above 0, or a percentage"
+        if negative := [text for text in self.radius if text.strip().startswith("-")]:
+            raise SuppleError(f"--radius must be {wanted}, found {negative[0]!r}")
         lengths = [repr(places.length("--radius", text, wanted)) for text in self.radius]
         radii = _spread("--radius", lengths, count, wanted)
         ratios: list[float | None] = [None] * count

@@ -245,7 +245,7 @@ def certified(
     status, errors = np.zeros(len(rows), np.uint8), np.zeros(len(rows))
     found, _, _ = composite.through(rows, back, False, status, errors)
     if space.composite is None:  # beyond the reach of strokes, no bit changes
-        errors[(found == rows).all(axis=1)] = 0.0
+        errors[(found == rows).all(axis=1) & (status & 4 == 0)] = 0.0
     shape = given.shape[:-1]
     values = _points(space, found, rows, given), errors.reshape(shape), (status & 4 == 0).reshape(shape)
     return values, certificate_of_status(status)

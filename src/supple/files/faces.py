@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from supple.errors import SuppleError, argument, shown
+from supple.errors import SuppleError, argument, listing, shown
 from supple.media.faces import SUFFIXES, Face, named, read_faces
 from supple.media.files import PathLike
 from supple.media.image import info
@@ -128,7 +128,7 @@ def _models() -> tuple[Any, Any]:
     )
 
 
-def face_stroke(face: Face, *, place: int = 1, **percents: float) -> Stroke:
+def face_stroke(face: Face, *, place: int = 1, size: tuple[int, ...] | None = None, **percents: float) -> Stroke:
     """Return the pull of all landmarks of a face that adjusts it; those that do not move are pins.
 
     Beyond the outline of the face, pins hold the background. Lengths follow from the distance of the eyes, and
@@ -140,6 +140,8 @@ def face_stroke(face: Face, *, place: int = 1, **percents: float) -> Stroke:
         Landmarks by name, as `faces_of` returns them.
     place : int
         Which face of the picture it is, for the stroke's name.
+    size : (int, int), optional
+        The width and height of the picture: what lies on its edge or beyond is left out.
     slim, jaw : float
         At 100, the face becomes slimmer by half of its width, from the cheeks to the chin; and the jaw wider by half of
         its.
@@ -165,7 +167,7 @@ def face_stroke(face: Face, *, place: int = 1, **percents: float) -> Stroke:
     needed |= {argument(name): marks for name, marks in _NEEDED.items() if part[name]}
     for what, marks in needed.items():
         if missing := [mark for mark in marks if mark not in places]:
-            raise SuppleError(f"there is no landmark {missing[0]}, which {what} needs: add it")
+            raise SuppleError(f"{what} needs {listing(missing, 8)}, of which there is no landmark: add it")
     left, right = places["left_eye"], places["right_eye"]
     unit = float(np.linalg.norm(left - right))
     if not unit > 0:
@@ -204,6 +206,11 @@ def face_stroke(face: Face, *, place: int = 1, **percents: float) -> Stroke:
             if name in outline:
                 out = places[name] - centre
                 handles.append((places[name] + _AROUND * unit * out / np.linalg.norm(out), np.zeros(2)))
+    if size is not None:
+        ends = np.array(size) - 1
+        handles = [(at, by) for at, by in handles if np.all((at > 0) & (at < ends) & (at + by > 0) & (at + by < ends))]
+    if not handles:
+        raise SuppleError("the face lies on the edge of the picture or beyond it: leave it out")
     points, moves = zip(*handles, strict=True)
     said = ", ".join(f"{name} {100 * share:g}" for name, share in part.items() if share)
     return replace(Stroke.pull(points, by=moves, radius=_RADIUS * unit), name=f"face {place}: {said}")

@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 
 from supple.deformation import Deformation
-from supple.errors import OutsideWarning, SuppleError, ToleranceWarning, VolumeWarning, argument, shown
+from supple.errors import FoldWarning, OutsideWarning, SuppleError, ToleranceWarning, VolumeWarning, argument, shown
+from supple.fields import folds_of
 from supple.media.files import PathLike, check_output
 from supple.media.points import FLIP, PointFile, check_target, read_points, write_points
 from supple.media.volume import Volume
@@ -147,6 +148,10 @@ def move_points(
         text = f"{len(beyond)} of {len(made)} points {'lies' if len(beyond) == 1 else 'lie'} outside"
         which = f" ({first}{', for one' if len(beyond) > 1 else ''})"
         warnings.warn(f"{text}{which}: they are moved all the same", OutsideWarning, stacklevel=2)
+    solved = (replace(each, inverse=True) for each in deformation.maps if each.inverse == inverse)
+    if folds := folds_of(solved):
+        text = f"{folds}: where they lead to, a point is one of several, and its error is the distance to that one"
+        warnings.warn(text, FoldWarning, stacklevel=2)
     if lost:
         text = f"{lost} of {len(made)} points did not converge: their error is inf"
         warnings.warn(text, ToleranceWarning, stacklevel=2)

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from supple.media.medium import Medium
 
 _POINT = re.compile(r"\s*([^\W\d]\w*)(?:@(\d+))?\s*([+-].*)?")
+_RESOLVED = ("at", "to", "by", "path", "also", "radius")  # keys of a stroke
 _NUMBERS = ("inf", "infinity", "nan")
 _OFFSET = "+DX,DY in pixels or percent (nose_tip+0,10%, say)"
 
@@ -83,7 +84,7 @@ class Places:
                 raise SuppleError(f"{argument('percent_of')} {self.percent_of} are two landmarks at one place")
             return length
         if self.medium is None:
-            return 1000.0
+            return 1e6
         if is_store(self.medium.path):
             raise SuppleError(f"{self.medium.name} is a Zarr store, of which there are no percentages: give a length")
         if self.medium.kind == "clip":
@@ -103,6 +104,8 @@ class Places:
         except ValueError:
             raise SuppleError(f"{name} must be {wanted}, found {text!r}") from None
         self.used |= percent
+        if percent and not abs(number) < math.inf:
+            raise SuppleError(f"{name} must be {wanted}, found {text!r}")
         return number * self.unit / 100 if percent else number
 
     def point(self, name: str, text: str) -> tuple[float, float]:
@@ -116,8 +119,8 @@ class Places:
         self.used = True
         mark = plain(found[1])
         if self.medium is None:
-            x = self._any.setdefault(f"{mark}@{found[2]}", 100.0 * (len(self._any) + 1))
-            at = (x, x * x / 1000)  # of which no three are on one line
+            x = self._any.setdefault(f"{mark}@{found[2]}", 0.01 * (len(self._any) + 1))
+            at = (x, x * x)  # of which no three are on one line, and none far away
         else:
             ((_, face),) = self.chosen(int(found[2] or 1))
             if mark not in face:
@@ -152,7 +155,7 @@ class Places:
         places = Places(self.medium, self.landmarks, self.percent_of or own)  # as its percentages are
         strokes = recipe.get("strokes")
         for k, stroke in enumerate(strokes if isinstance(strokes, list) else ()):
-            for key in {"at", "to", "by", "path", "also", "radius"} & {*stroke} if isinstance(stroke, dict) else ():
+            for key in [key for key in _RESOLVED if key in stroke] if isinstance(stroke, dict) else ():
                 stroke[key] = places._resolved(f"strokes[{k}]: {key}", key, stroke[key])
         if places.used and recipe.get("size") is not None:
             raise SuppleError('a recipe of landmarks or percentages is for pictures of any size: leave "size" out')
@@ -179,6 +182,7 @@ class Places:
 
         start, end = (faces_of(self.medium.path, name)[0] for name in names)
         shared = [name for name in start if name in end]
+        shared = [name for name in shared if name.startswith("point_")] or shared  # no means of several
         pairs = {start[name]: end[name] for name in shared}  # a point of several names is one
         if not pairs:
             raise SuppleError(

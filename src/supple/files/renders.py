@@ -245,13 +245,14 @@ def scene_of(
     if isinstance(transfer, LabelColours):
         _check_labels(samples, transfer, volume.name)
     meshes = read_surfaces(known.meshes, volume, known.convention)
-    if isinstance(given, str) and given in HOUNSFIELD and not (known.table or known.largest) and samples.ndim == 3:
-        samples, apart = without_table(samples)
+    has_air = samples.ndim == 3 and float(samples.min()) <= -800  # in Hounsfield units
+    if isinstance(given, str) and given in HOUNSFIELD and has_air and not (known.table or known.largest):
+        samples, apart = without_table(samples, volume.geometry.spacing)
         if apart > 0:
             text = (
-                f"{100 * apart:.2g} % of what is as dense as skin in {volume.name} lies apart from the body, as a table"
+                f"{100 * apart:.2g} % of what is as dense as skin in {volume.name} is thin and lies beside the body, as"
             )
-            text = f"{text} or a head holder does, and is left out: {argument('table')} shows it"
+            text = f"{text} a table or a head holder does, and is left out: {argument('table')} shows it"
             warnings.warn(text, VolumeWarning, stacklevel=3)
     if known.crop is not None or known.largest:
         transfer = fixed(samples, transfer)

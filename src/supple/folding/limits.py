@@ -365,7 +365,7 @@ def pulled(stroke: Stroke, domain: Domain, on_fold: FoldPolicy) -> Resolved:
     frozen &= (start != goal).any(axis=1)
     if frozen.any():
         return _without(stroke, frozen, domain, on_fold)
-    _check_handles(stroke, start, goal, domain)
+    _check_handles(stroke, start, goal, domain, arrives=on_fold == "flow")
     if on_fold == "flow":
         return _flow_together(stroke, domain, table, goal)
     table["force"] = _forces(table, goal - start, domain)
@@ -465,10 +465,11 @@ def _check_arrival(stroke: Stroke, domain: Domain, found: Floats, start: Floats,
         raise SuppleError(f"{described(stroke)} cannot arrive: {_conflict(stroke, start, goal, domain)}")
 
 
-def _check_handles(stroke: Stroke, start: Floats, goal: Floats, domain: Domain) -> None:
-    """Refuse handles that cannot arrive: at one place, or on a fixed edge."""
+def _check_handles(stroke: Stroke, start: Floats, goal: Floats, domain: Domain, *, arrives: bool) -> None:
+    """Refuse handles that cannot arrive: at one place, or on a fixed edge; with one target, if all is to arrive."""
     axes = domain.packed()
     places: dict[tuple[float, ...], int] = {}
+    targets: dict[tuple[float, ...], int] = {}
     first, last = axes[:, 0], axes[:, 1]
     fixed, beta = axes[:, 2] >= 0, beta_at(start, axes)
     for i, (a, b) in enumerate(zip(start, goal, strict=True)):
@@ -476,6 +477,10 @@ def _check_handles(stroke: Stroke, start: Floats, goal: Floats, domain: Domain) 
         if other != i:
             place = _place(stroke, i, domain)
             raise SuppleError(f"{described(stroke)} has two handles {place}, {other + 1} and {i + 1}: leave one out")
+        other = targets.setdefault(tuple((b * 1e6).round().tolist()), i)
+        if other != i and arrives:
+            two = f"{_handle(stroke, other, domain)}, and {_handle(stroke, i, domain)}"
+            raise SuppleError(f"{described(stroke)} has one target for two: {two}; give each its own, or leave one out")
         across = fixed & (a != b)
         out = across & ((b <= first) | (b >= last) | (beta[i] < 1e-100))
         if out.any() or not is_held(a, axes):

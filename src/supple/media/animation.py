@@ -53,6 +53,7 @@ class _Png:
             at += 12 + size
         if first:
             self._put(b"acTL", struct.pack(">II", self._count, self._plays))
+        lasts = max(lasts, Fraction(0))  # after rounding of those before
         if max(lasts.as_integer_ratio()) > _SHORT:
             scale = max(1, int(_SHORT / max(float(lasts), 1.0)))
             lasts = Fraction(min(max(1, round(lasts * scale)), _SHORT), scale)

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -26,7 +28,7 @@ from supple.space.geometry import Floats
 DARK = 0.06  # of white, and twice that: a maximum is transparent up to one, and opaque from the other on
 FINE = 2  # voxels of a brick of visible voxels, if a lattice displaces them into bricks of `_core.BRICK` voxels
 AIR, SKIN = -1000.0, -450.0  # Hounsfield units
-_PART = 0.2  # of the largest part of a body: a smaller one lies apart
+_THIN = 6.0  # mm: half of the thickness from which a part is no table
 _LOOKED_AT = 1 << 20  # voxels for a quantile
 MOST = 1e18  # of samples: float32 holds the squares of their gradients
 _TYPES = (np.uint8, np.int8, np.uint16, np.int16, np.float32)
@@ -112,29 +114,42 @@ def is_hounsfield(low: float, high: float) -> bool:
     return low <= -800 and high >= 200
 
 
-def without_table(samples: Array) -> tuple[Array, float]:
-    """Return a CT without what lies apart from the body, such as a table or a head holder, and how much that was.
+def without_table(samples: Array, spacing: Sequence[float]) -> tuple[Array, float]:
+    """Return a CT without what is thin beside the body, such as a table or a head holder, and how much that was.
 
-    All that is as dense as skin, in parts of voxels that touch by their faces, belongs to a body if it is a fifth of
-    the largest part or more, as a leg beside another is. Other parts become air; how much they were is a fraction of
-    it all.
+    Of all that is as dense as skin, in parts of voxels that touch by their faces, the largest is the body. Other parts
+    become air if they are nowhere thicker than 12 mm, and reach out of the box around the body: arms and legs are
+    thicker, and what is in the body is within its box. How much they were is a fraction of it all.
 
     Parameters
     ----------
     samples : array (Z, H, W)
         Hounsfield units.
+    spacing : sequence of float
+        In millimetres, x first.
     """
-    left = samples >= SKIN
-    count, most = int(np.count_nonzero(left)), 0
-    part = np.empty(left.shape, np.bool_)
-    while True:
-        _core.largest_part(left, part)
-        found = int(np.count_nonzero(part))
-        most = max(most, found)
-        if found < max(_PART * most, 1):
-            break
-        left &= ~part
-    return np.where(left, np.asarray(AIR, samples.dtype), samples), int(np.count_nonzero(left)) / max(count, 1)
+    import SimpleITK
+
+    itk: Any = SimpleITK
+    dense = itk.GetImageFromArray((samples >= SKIN).astype(np.uint8))
+    labels = itk.GetArrayFromImage(itk.ConnectedComponent(dense))
+    sizes = np.bincount(labels.reshape(-1))
+    if len(sizes) < 3:
+        return samples, 0.0
+    body = int(sizes[1:].argmax()) + 1
+    radius = [max(1, round(_THIN / step)) for step in spacing]
+    core = itk.GetArrayFromImage(itk.BinaryErode(dense, radius, itk.sitkBox, 0, 1, True))
+    own, within = labels == body, labels
+    for axis in range(3):
+        places = np.flatnonzero(own.any(axis=tuple({0, 1, 2} - {axis})))
+        within = within.take(range(places[0], places[-1] + 1), axis=axis)
+    inner = np.bincount(within.reshape(-1), minlength=len(sizes))
+    thick = np.bincount(labels[core != 0], minlength=len(sizes)) > 0
+    apart = (sizes > inner) & ~thick
+    apart[[0, body]] = False
+    if not apart.any():
+        return samples, 0.0
+    return np.where(apart[labels], np.asarray(AIR, samples.dtype), samples), float(sizes[apart].sum() / sizes[1:].sum())
 
 
 def transfer_function(given: Transfer | str) -> Transfer:

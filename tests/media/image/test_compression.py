@@ -133,3 +133,14 @@ def test_an_unbent_picture_is_compressed_anew_if_that_is_asked_for(tmp_path):
     write(tmp_path / "in.png", photograph())
     warp_file(tmp_path / "in.png", tmp_path / "out.png", supple.Recipe(), compression="none")
     assert (tmp_path / "out.png").stat().st_size > photograph().nbytes
+
+
+@pytest.mark.parametrize(("subsampling", "kept"), [(0, 0), (1, 0), (2, 2)])
+def test_chroma_of_a_jpeg_loses_no_resolution(tmp_path, subsampling, kept):
+    Image, JpegImagePlugin = pytest.importorskip("PIL.Image"), pytest.importorskip("PIL.JpegImagePlugin")
+
+    pixels = np.random.default_rng(3).integers(0, 255, (48, 64, 3), np.uint8)
+    Image.fromarray(pixels).save(tmp_path / "in.jpg", quality=90, subsampling=subsampling)
+    write(tmp_path / "out.jpg", read(tmp_path / "in.jpg"))
+    with Image.open(tmp_path / "out.jpg") as made:
+        assert JpegImagePlugin.get_sampling(made) == kept

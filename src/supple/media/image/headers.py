@@ -47,10 +47,12 @@ def saved_as(path: PathLike, image: Any, form: str) -> dict[str, Any]:
     if form in ("JPEG", "PNG") and image.get_typeof("interlaced"):
         chosen["interlace"] = True
     if form == "JPEG":
-        if image.get_typeof("jpeg-chroma-subsample") and image.get("jpeg-chroma-subsample") == "4:2:0":
-            chosen["subsample_mode"] = "on"  # of 4:2:2, libvips writes no other than 4:4:4
         with open(path, "rb") as file:
-            steps = _quantization(file.read(_HEAD))
+            head = file.read(_HEAD)
+        # Of 4:2:2, which it calls 4:2:0, libvips writes no other than 4:4:4.
+        if re.search(rb"\xff[\xc0-\xc2].{7}[\x03\x04]\x01\x22", head, re.DOTALL):
+            chosen["subsample_mode"] = "on"
+        steps = _quantization(head)
         if steps is not None:
             chosen["Q"] = 1 + int(np.abs(_all_steps() - steps).sum(axis=1).argmin())
     if form == "WebP":

@@ -25,7 +25,7 @@ from supple.files import Job
 from supple.files.clips import is_picture_target
 from supple.files.freezing import read_freeze, write_freeze
 from supple.files.maps import convention_out
-from supple.files.options import ClipOptions, PathLike
+from supple.files.options import ClipOptions, PathLike, VolumeOptions
 from supple.files.places import Places
 from supple.files.recipes import read_recipe, write_recipe
 from supple.files.registrations import write_map
@@ -484,7 +484,11 @@ class FileCommands:
 
         Unsaved strokes cause a question first, unless ``sure``.
         """
-        source = None if self.source is None else Job(self.source, "", Recipe()).medium
+        source = (
+            None
+            if self.source is None
+            else Job(self.source, "", Recipe(), volume=self.options.get("volume", VolumeOptions())).medium
+        )
         recipe = read_recipe(path, resolve=Places(source).resolve if source else None)
         if self.document.dirty and not sure:
             self.document.fitted(recipe)

@@ -67,7 +67,7 @@ def _sliders(view: View, faces: tuple[Face, ...]) -> None:
     if moved and document.dragging and view.moved_face is not None:
         place, face = view.moved_face
         try:
-            stroke = face_stroke(face, place=view.face + 1, **percents)
+            stroke = face_stroke(face, place=view.face + 1, size=document.deformation.grid.sizes, **percents)
         except SuppleError as error:
             view.commands.message = str(error)
         else:

@@ -17,7 +17,7 @@ import numpy.typing as npt
 from supple.deformation import Deformation
 from supple.errors import SuppleError, argument, shown
 from supple.fields import Placed
-from supple.files.clips import open_clip, parts_of, refuse_maps
+from supple.files.clips import parts_of, refuse_maps
 from supple.files.jobs import Job
 from supple.files.options import GridOptions, VolumeOptions
 from supple.files.renders import default_transfer
@@ -139,11 +139,11 @@ def stage_of(gpu: Gpu, source: Source, options: ViewOptions = _USUAL) -> ImageSt
 
 
 def _moves(source: str | os.PathLike[str]) -> bool:
-    """Return whether a file, a folder or a pattern is a clip; a GIF is one if it has several frames."""
-    if Path(source).suffix.lower() == ".gif" and os.path.isfile(source):
-        with contextlib.suppress(SuppleError), open_clip(source) as clip:
-            return bool(clip.count > 1)
-    return medium.opened(source, "x.mp4" if os.path.isdir(source) else "").kind == "clip"
+    """Return whether a file, a folder or a pattern is a clip; a GIF, PNG or WebP is one if it has several frames."""
+    kind = medium.opened(source, "x.mp4" if os.path.isdir(source) else "").kind
+    if kind == "clip" and Path(source).suffix.lower() != ".gif":
+        return True
+    return kind != "volume" and medium.is_animated(source)
 
 
 def _suits(name: str, options: ViewOptions, *, moves: bool = False, volume: bool = False) -> None:
