@@ -196,8 +196,8 @@ def warp_picture(
     found, count = Certificate(0.0, 0.0), picture.pixels.shape[2] if picture.pixels.ndim == 3 else 1
     if (dtype := picture.pixels.dtype).kind in "iu":
         low, high = np.iinfo(dtype).min, np.iinfo(dtype).max
-        if any(value < low or value > high for value in np.ravel(sampling.fill)):
-            refuse("fill", f"from {low} to {high} for the {dtype} of {name or 'the picture'}", sampling.fill)
+        if wrong := [value for value in np.ravel(sampling.fill).tolist() if value < low or value > high]:
+            refuse("fill", f"from {low} to {high} for the {dtype} of {name or 'the picture'}", wrong[0])
     fill = np.asarray(sampling.filled(count, dtype, finite=False).fill)
 
     def warp(pixels: Array, alpha: bool, channels: list[int]) -> Array:

@@ -313,6 +313,9 @@ class PictureSink:
         self._clip, self._folder, self._temporary, self._names = clip, folder, temporary, names
         self._options = options
         self._said: set[str] = set()
+        if clip.aspect not in (None, 1):
+            wide = f"pixels are {clip.aspect} as wide as high: they are left as they are stored"
+            warnings.warn(f"{shown(folder / names(0))} cannot say that {wide}", ClipWarning, stacklevel=4)
         self.copied = 0  # files that are those of the source
 
     def write(self, arrays: Sequence[Array], k: int, *, still: bool = False) -> None:

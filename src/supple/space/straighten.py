@@ -169,7 +169,8 @@ class Straighten:
         return made @ _rectified(np.array(self.keystone)) if self.keystone else made
 
     def _refuse_steep(self) -> None:
-        refuse("keystone", "a frame of less perspective: its horizon is in the picture or near it", self.keystone)
+        frame = ", ".join(f"({x:.5g}, {y:.5g})" for x, y in self.keystone)
+        refuse("keystone", "a frame of less perspective: its horizon is in the picture or near it", told=frame)
 
 
 def _is_convex(quad: Floats) -> bool:

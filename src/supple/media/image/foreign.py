@@ -57,7 +57,7 @@ def _heif(path: PathLike) -> tuple[Array, int, str, bool, dict[str, Any]]:
 def _psd(path: PathLike) -> tuple[Array, int, str, bool, dict[str, Any]]:
     from psd_tools import PSDImage
 
-    file = PSDImage.open(path)
+    file: Any = PSDImage.open(path)
     mode = file.color_mode.name
     if mode not in _PSD or file.depth not in (8, 16, 32):
         raise unreadable(path, f"it is a Photoshop file of {mode} in {file.depth} bits, which is not supported", _GIVE)
