@@ -21,7 +21,8 @@ import supple
 from supple.strokes import Recipe
 from supple.viewer.panels import view as views
 from supple.viewer.window import window as windows
-from supple.viewer.window.launch import ViewOptions, opened
+from supple.viewer.window.launch import opened
+from supple.viewer.window.options import ViewOptions
 
 HERE = Path(__file__).resolve().parent
 DATA = Path(supple.__file__).parent / "examples" / "data"

@@ -24,7 +24,7 @@ from supple.media import volume as media
 from supple.media.points import read_points
 from supple.space.geometry import Geometry
 from supple.viewer.panels.layers import Registration
-from supple.viewer.window.launch import ViewOptions
+from supple.viewer.window.options import ViewOptions
 from supple.viewer.window.volumes import placed
 from tests.cli.commands import Run
 from tests.media.landmarks import fcsv

@@ -20,6 +20,7 @@ from supple.strokes import Recipe, Stroke
 from supple.viewer.panels.slices import SOFT_TISSUE, first_window, turned
 from supple.viewer.panels.view import TOP
 from supple.viewer.tools.planes import RENDERED, planes_of
+from supple.viewer.window.options import ViewOptions
 from tests import effort
 from tests.viewer.windows import opened
 
@@ -344,7 +345,7 @@ def test_landmarks_are_for_volumes(gpu: Gpu, tmp_path: Path) -> None:
 def test_a_script_shows_landmarks_as_the_command_does(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     from supple.viewer.window import launch
 
-    taken: list[launch.ViewOptions] = []
+    taken: list[ViewOptions] = []
     monkeypatch.setattr(launch, "show", lambda source, recipe, *, options: taken.append(options))
     supple.view(DATA / "head.nii.gz", points=tmp_path / "marks.csv", convention="RAS")
     assert (taken[0].points, taken[0].convention) == (tmp_path / "marks.csv", "RAS")

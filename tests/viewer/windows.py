@@ -139,8 +139,8 @@ def opened(
     """A window without a screen, and the hand that is in it; options are those of `supple.view`."""
     from rendercanvas.offscreen import RenderCanvas
 
-    from supple.viewer.window.launch import ViewOptions
     from supple.viewer.window.launch import opened as opened_on
+    from supple.viewer.window.options import ViewOptions
 
     canvas = RenderCanvas(size=size, pixel_ratio=ratio)
     # What comes later does not: there is no loop, and frames are drawn by who tests.

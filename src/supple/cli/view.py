@@ -64,8 +64,9 @@ def view(
     from supple.files.jobs import Job
     from supple.files.options import GridOptions
     from supple.strokes import Recipe
-    from supple.viewer.window.launch import ViewOptions, show
     from supple.viewer.window.launch import serve as serve_it
+    from supple.viewer.window.launch import show
+    from supple.viewer.window.options import ViewOptions
 
     current().started(quiet=False, threads=None)
     strokes.refuse_alone()

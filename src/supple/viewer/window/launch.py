@@ -7,19 +7,17 @@ import os
 import secrets
 import sys
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
-from supple.deformation import Deformation
 from supple.errors import SuppleError, argument, shown
 from supple.fields import Placed
 from supple.files.clips import parts_of, refuse_maps
 from supple.files.jobs import Job
-from supple.files.options import GridOptions, VolumeOptions
+from supple.files.options import VolumeOptions
 from supple.files.renders import default_transfer
 from supple.files.volumes import in_space
 from supple.gpu.device import Gpu, open_gpu
@@ -29,7 +27,7 @@ from supple.media.volume import Volume
 from supple.render.camera import Camera
 from supple.space.checks import integer, length, point
 from supple.space.geometry import Geometry, Grid
-from supple.strokes import Fit, Recipe, fit_recipe
+from supple.strokes import Recipe, fit_recipe
 from supple.viewer.document.editing import Document
 from supple.viewer.document.landmarks import Landmarks
 from supple.viewer.panels.slices import first_window
@@ -40,6 +38,7 @@ from supple.viewer.tools.drawing import Pair
 from supple.viewer.tools.playback import Playback
 from supple.viewer.tools.volumes import VolumeTools
 from supple.viewer.window import dialogs
+from supple.viewer.window.options import EVEN, PLAIN, Spacing, ViewOptions
 from supple.viewer.window.volumes import OPTIONS, comparison_of, landmarks_of, volume_stage
 
 if TYPE_CHECKING:
@@ -47,48 +46,6 @@ if TYPE_CHECKING:
 
 SIZE = (1280, 800)
 Source = str | os.PathLike[str] | npt.NDArray[Any]
-Spacing = tuple[float, float, float]
-_EVEN = (1.0, 1.0, 1.0)
-_PLAIN = VolumeOptions()
-
-
-@dataclass(frozen=True, slots=True)
-class ViewOptions:
-    """The options for reading a source."""
-
-    spacing: Spacing = _EVEN  # of the voxels of an array, in millimetres, x first
-    time_scale: float = 1.0  # the length of a clip's frame in pixels, for the brush
-    volume: VolumeOptions = _PLAIN  # of its file; and whether the first strokes are in millimetres
-    fit: Fit | None = None  # the scaling of the first strokes, if made for another size, as in `supple.warp_file`
-    points: str | os.PathLike[str] | None = None  # a file of landmarks, shown in a volume
-    convention: str | None = None  # of a table of them that does not name its own, as in `supple points`
-    maps: tuple[Placed, ...] = ()  # fields and affine maps before all strokes, through which the source is seen
-    frame: int | None = None  # of a clip, the one that is shown first
-    fixed: str | os.PathLike[str] | None = None  # a volume that another one is registered to, on whose grid it is seen
-    fixed_points: str | os.PathLike[str] | None = None  # landmarks of that
-    segmentation: str | os.PathLike[str] | None = None  # labels over a volume, which move with it
-    label_colours: str | os.PathLike[str] | None = None  # a table of their names and colours, or of a label map's own
-
-    def __post_init__(self) -> None:
-        length("time_scale", self.time_scale)
-        if any(placed.after for placed in self.maps):
-            raise SuppleError("in the window, strokes come after fields and affine maps: give these first")
-        if self.fixed_points is not None and self.fixed is None:
-            raise SuppleError(f"{argument('fixed_points')} are those of a fixed volume, and there is none: name it")
-
-    @property
-    def export(self) -> dict[str, Any]:
-        """The arguments of `supple.warp_file` for the same image as on screen."""
-        # Strokes are indices here, whatever the space of the first ones.
-        known: dict[str, Any] = {"volume": replace(self.volume, world=False)}
-        known |= {"maps": self.maps} if self.maps else {}
-        return known if self.fixed is None else {**known, "grid": GridOptions(self.fixed, strokes=True)}
-
-    def mapped(self, grid: Grid) -> Deformation | None:
-        """Return the fields and affine maps on a grid; None if there are none."""
-        return Deformation.from_recipe(Recipe(), grid, maps=self.maps) if self.maps else None
-
-
 _USUAL = ViewOptions()
 
 
@@ -148,7 +105,7 @@ def _moves(source: str | os.PathLike[str]) -> bool:
 
 def _suits(name: str, options: ViewOptions, *, moves: bool = False, volume: bool = False) -> None:
     """Raise SuppleError for a time scale without time, and for options of volume files without one."""
-    if options.volume != _PLAIN and not volume:
+    if options.volume != PLAIN and not volume:
         raise SuppleError(f"{name} is no file of a volume, and what was asked of it is for those: leave that out")
     given = next((each for each in OPTIONS if getattr(options, each) is not None), None)
     if given is not None and not volume:
@@ -303,7 +260,7 @@ def view(
     source: Source,
     recipe: Recipe | None = None,
     *,
-    spacing: Spacing = _EVEN,
+    spacing: Spacing = EVEN,
     time_scale: float = 1.0,
     volume: VolumeOptions | None = None,
     points: str | os.PathLike[str] | None = None,
@@ -347,7 +304,7 @@ def view(
         If the source or the recipe does not fit, there is no GPU, or a part of the window is not installed.
     """
     options = ViewOptions(
-        spacing, time_scale, volume or _PLAIN, points=points, convention=convention, maps=tuple(maps), **more
+        spacing, time_scale, volume or PLAIN, points=points, convention=convention, maps=tuple(maps), **more
     )
     if not in_notebook():
         return show(source, recipe, options=options)

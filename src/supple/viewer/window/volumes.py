@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -28,9 +27,7 @@ from supple.viewer.panels.layers import Registration, names_of, segmentation_of
 from supple.viewer.panels.slices import first_window
 from supple.viewer.panels.stages import VolumeStage
 from supple.viewer.tools.comparing import Comparison
-
-if TYPE_CHECKING:
-    from supple.viewer.window.launch import ViewOptions
+from supple.viewer.window.options import ViewOptions
 
 OPTIONS = ("fixed", "fixed_points", "segmentation", "label_colours")
 """The options of the window that are for volumes alone."""
