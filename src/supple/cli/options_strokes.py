@@ -310,11 +310,10 @@ class StrokeOptions:
         places = Places(None, self.landmarks, self.percent_of)
         recipe = self.strokes_in(places, **how)
         self._relative = places.used
-        for option, value in {"--landmarks": self.landmarks, "--percent-of": self.percent_of}.items():
-            if value is not None and not places.used:
-                raise SuppleError(
-                    f"{option} is for landmarks and percentages of strokes, and there are none: leave it out"
-                )
+        if self.landmarks is not None and not places.used:
+            raise SuppleError("--landmarks is for landmarks of strokes, and there are none: leave it out")
+        if self.percent_of is not None and not places.scaled:
+            raise SuppleError("--percent-of is for percentages of strokes, and there are none: leave it out")
         if not places.used or medium is None:
             return recipe
         return self.strokes_in(Places(medium(recipe), self.landmarks, self.percent_of), **how)

@@ -41,12 +41,15 @@ class Places:
         The two positions, ``A:B``; those of a recipe otherwise.
     used : bool
         Whether anything was asked for: what was made is for this picture alone.
+    scaled : bool
+        Whether any of that was a percentage.
     """
 
     medium: Medium | None = None
     landmarks: PathLike | None = None
     percent_of: str | None = None
     used: bool = field(default=False, init=False)
+    scaled: bool = field(default=False, init=False)
     _any: dict[str, float] = field(default_factory=dict, init=False)
 
     @cached_property
@@ -104,6 +107,7 @@ class Places:
         except ValueError:
             raise SuppleError(f"{name} must be {wanted}, found {text!r}") from None
         self.used |= percent
+        self.scaled |= percent
         if percent and not abs(number) < math.inf:
             raise SuppleError(f"{name} must be {wanted}, found {text!r}")
         return number * self.unit / 100 if percent else number
@@ -159,7 +163,7 @@ class Places:
                 stroke[key] = places._resolved(f"strokes[{k}]: {key}", key, stroke[key])
         if places.used and recipe.get("size") is not None:
             raise SuppleError('a recipe of landmarks or percentages is for pictures of any size: leave "size" out')
-        self.used |= places.used
+        self.used, self.scaled = self.used or places.used, self.scaled or places.scaled
 
     def _resolved(self, name: str, key: str, value: Any) -> Any:
         """Return the value of a key with numbers; what is no text, or no list of some, is checked later."""
