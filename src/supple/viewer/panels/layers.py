@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -42,13 +41,17 @@ class Segmentation:
 
     volume: Volume
     colours: LabelColours
-    names: Mapping[int, str]
     opacity: float = 0.45
     hidden: set[int] = field(default_factory=set)
 
     def __post_init__(self) -> None:
         self.labels = tuple(int(k) for k in labels_in(self.volume.samples))
         self.shades = self.colours.of(self.labels)  # sRGB and opacity (N, 4), from 0 to 1
+
+    @property
+    def names(self) -> Mapping[int, str]:
+        """The names of the labels that have one."""
+        return self.colours.names
 
     @property
     def look(self) -> tuple[object, ...]:
@@ -130,34 +133,14 @@ def range_of(samples: Array) -> tuple[Any, Any]:
     return (low, high) if low <= high else (-np.inf, np.inf)
 
 
-def names_in(header: Any) -> dict[int, str]:
-    """Return the names of labels in the header of a segmentation of 3D Slicer."""
-    if not isinstance(header, Mapping):
-        return {}
-    names = {}
-    for key, name in header.items():
-        found = re.fullmatch(r"Segment(\d+)_Name", str(key))
-        value = str(header.get(f"Segment{found[1]}_LabelValue", "")) if found else ""
-        if value.isdigit():
-            names[int(value)] = str(name)
-    return names
-
-
-def names_of(text: str) -> dict[int, str]:
-    """Return the names of labels in a colour table that `LabelColours.from_text` reads."""
-    lines = [line.strip() for line in text.splitlines() if line.strip() and not line.strip().startswith("#")]
-    quoted = (re.fullmatch(r'(-?\d+)\s.*"(.*)"', line) for line in lines)  # ITK-SNAP's
-    plain = (re.fullmatch(r"(-?\d+)\s+(\S.*?)(?:\s+\d+){4}", line) for line in lines)
-    return {int(found[1]): found[2] for one, other in zip(quoted, plain, strict=True) if (found := one or other)}
-
-
-def segmentation_of(volume: Volume, table: tuple[LabelColours, str] | None) -> Segmentation:
+def segmentation_of(volume: Volume, table: LabelColours | None) -> Segmentation:
     """Return the labels of a volume with the names and colours of a colour table, or else of its header."""
     if volume.components > 1:
         raise SuppleError(f"{volume.name} has {volume.components} components, and labels are of one: give one of them")
     samples = volume.samples[0] if volume.series else volume.samples
     if table is not None:
-        return Segmentation(volume, table[0], names_of(table[1]))
+        return Segmentation(volume, table)
     known = volume.is_segmentation
-    colours = LabelColours.of_segments(volume.header, labels_in(samples)) if known else LabelColours()
-    return Segmentation(volume, colours, names_in(volume.header))
+    return Segmentation(
+        volume, LabelColours.of_segments(volume.header, labels_in(samples)) if known else LabelColours()
+    )

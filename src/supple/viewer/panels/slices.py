@@ -16,7 +16,7 @@ from supple.media.volume import Volume
 from supple.media.volume.data import rescaled
 from supple.render.labels import LabelColours
 from supple.space.geometry import Grid
-from supple.viewer.panels.layers import Layer, Registration, names_in
+from supple.viewer.panels.layers import Layer, Registration
 from supple.viewer.panels.stages import VolumeStage, filled
 from supple.viewer.tools.planes import FIXED, RENDERED, Plane
 from supple.viewer.tools.volumes import VolumeTools
@@ -38,7 +38,6 @@ class Slices:
     def __init__(self, gpu: Gpu, stage: VolumeStage, labels: bool = False) -> None:
         volume, known, transfer = stage.volume, stage.registration, stage.scene.transfer
         self._gpu, self.labels, self.unit, self.segmentation = gpu, labels, stage.unit, stage.segmentation
-        self.names = names_in(volume.header) if stage.names is None else stage.names
         self._colours = transfer if isinstance(transfer, LabelColours) else LabelColours()
         self._bent = Layer(volume if known is None else known.moving, known, labels=labels)
         self._fixed = None if known is None or known.fixed is None else Layer(known.fixed)
@@ -71,7 +70,7 @@ class Slices:
     def told(self, value: Any) -> str:
         """Return a value with its unit, or the name of a label."""
         if self.labels:
-            name = self.names.get(int(value)) if np.isfinite(value) else None
+            name = self._colours.names.get(int(value)) if np.isfinite(value) else None
             return f"label {value:g}" + (f" ({name})" if name else "")
         if self.unit == "label":  # mixed where labels meet
             return f"label {value:.6g}"

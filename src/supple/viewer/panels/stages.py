@@ -7,7 +7,7 @@ import math
 import threading
 import time
 from collections import OrderedDict
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from dataclasses import replace
 from typing import Any
@@ -564,7 +564,6 @@ class VolumeStage:
         self._seconds = {False: 0.0, True: math.inf}  # of the last map without a freeze mask, and with one
         self.registration: Registration | None = None  # of which the volume is what is bent, on the window's grid
         self.segmentation: Segmentation | None = None
-        self.names: Mapping[int, str] | None = None  # of its own labels, if not those of its header
 
     def _made(self, transfer: Transfer | str) -> Scene:
         device = "cpu" if self._gpu.software else "gpu"

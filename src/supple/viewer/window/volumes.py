@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 
@@ -23,7 +22,7 @@ from supple.render.labels import LabelColours
 from supple.render.transfer import transfer_of
 from supple.space.geometry import check_upright
 from supple.viewer.document.landmarks import Landmarks
-from supple.viewer.panels.layers import Registration, names_of, segmentation_of
+from supple.viewer.panels.layers import Registration, segmentation_of
 from supple.viewer.panels.slices import first_window
 from supple.viewer.panels.stages import VolumeStage
 from supple.viewer.tools.comparing import Comparison
@@ -52,9 +51,9 @@ def volume_stage(gpu: Gpu, source: str | os.PathLike[str], options: ViewOptions)
     table = None if options.label_colours is None else _table(options.label_colours)
     own = table if options.segmentation is None else None  # of the volume, which is a label map
     samples = volume.rescaled()
-    transfer = default_transfer(volume) if own is None else own[0]
+    transfer = default_transfer(volume) if own is None else own
     stage = VolumeStage(gpu, volume, transfer, samples[0] if volume.series else samples)
-    stage.registration, stage.names = known, None if own is None else names_of(own[1])
+    stage.registration = known
     if options.segmentation is not None:
         stage.segmentation = segmentation_of(open_volume(options.segmentation), table)
     return stage
@@ -81,12 +80,12 @@ def placed(known: Registration, options: ViewOptions) -> Volume:
     return replace(moved(volume, grid, GridOptions(options.fixed)), samples=made)
 
 
-def _table(path: str | os.PathLike[str]) -> tuple[LabelColours, str]:
-    """Return the colours of a table of labels, and its text."""
+def _table(path: str | os.PathLike[str]) -> LabelColours:
+    """Return the colours and names of a table of labels."""
     colours = transfer_of(path)
     if not isinstance(colours, LabelColours):
         raise SuppleError(f"{argument('label_colours')} is a colour table (.ctbl, .txt), and {shown(path)} is none")
-    return colours, Path(path).read_text(encoding="utf-8")
+    return colours
 
 
 def comparison_of(stage: VolumeStage) -> Comparison | None:
