@@ -11,6 +11,7 @@ from supple.deformation import Deformation
 from supple.gpu.device import Gpu, _know_types
 from supple.gpu.plate import OVERLAYS, Plate, Sight
 from supple.gpu.screen import canvas_texture, pixels_of
+from supple.space.freezing import Freeze
 from supple.strokes import Recipe, Stroke
 from supple.viewer.panels.stages import Levels, Warped, changed
 from supple.viewer.panels.view import TOP
@@ -92,6 +93,27 @@ def test_only_what_a_drag_changes_is_warped(gpu: Gpu, noise: np.ndarray, monkeyp
     assert max(sizes[0]) <= 128
     warped.bring(bent(first), sight)
     assert sizes[1] == sizes[0]
+
+
+def test_after_a_drag_what_it_drew_roughly_is_exact(gpu: Gpu, noise: np.ndarray) -> None:
+    held = np.zeros((ROWS, COLUMNS), bool)
+    held[100:180, 140:260] = True
+    first, frozen = Stroke.grab((150, 120), by=(14, 9), radius=40), Stroke.freeze(Freeze.of(held, width=12), ndim=2)
+    warped, rough, exact = (
+        Warped(gpu, Levels(noise)),
+        *(Sight((0.0, 0.0), 1.0, (COLUMNS, ROWS), solved=solved) for solved in (False, True)),
+    )
+    drawn(gpu, warped, bent(first, frozen), exact)
+    apart = []
+    for k in range(4):
+        d = bent(first, frozen, Stroke.grab((150 + 20 * k, 210), by=(12, -15), radius=25))
+        whole = drawn(gpu, Warped(gpu, Levels(noise)), d, exact)
+        apart.append(np.abs(drawn(gpu, warped, d, rough) - whole).max())
+        if k % 2:
+            off = np.abs(drawn(gpu, warped, d, exact) - whole)
+            assert off.max() <= 1
+            assert np.count_nonzero(off) < 0.002 * off.size
+    assert 1 < max(apart) < 40  # of noise
 
 
 def test_a_box_holds_all_that_changes() -> None:

@@ -18,7 +18,7 @@ import numpy.typing as npt
 from supple._core.rows import STROKE_DTYPE, numbers
 from supple.arrays import warp_array
 from supple.deformation import Deformation
-from supple.engine.sampling import DEFAULT
+from supple.engine.sampling import DEFAULT, Sampling
 from supple.engine.work import Mattes, Space, seen_from, shown_mask
 from supple.errors import SuppleError
 from supple.files.clips import open_clip
@@ -198,8 +198,10 @@ class FrameCache:
 
 Floats = npt.NDArray[np.float64]
 Rectangle = tuple[int, int, int, int]  # x0, y0, and x1, y1 beyond the last
+_NOTHING: Rectangle = (1 << 30, 1 << 30, 0, 0)
 
 CELL = 32  # pixels: the core solves cells of this side as a whole
+_ROUGH = Sampling(tolerance=0.05)  # while a hand drags: beside what is frozen, planning takes two thirds of the time
 _EDGE = 4  # pixels beyond those that the window shows, for the filter of its last ones
 _SMALLEST = 256  # pixels of the longer side of the smallest level
 
@@ -232,30 +234,37 @@ class Warped:
         self._levels = levels
         self._laid = Laid(gpu, levels.at(0)[0].shape[1::-1])
         self._place: tuple[int, Rectangle] | None = None  # the level and the part that are held
+        self._rough: Rectangle = _NOTHING  # around what was warped during a drag, and is warped again after it
         self.shown: Deformation | None = None
 
     def bring(self, deformation: Deformation, sight: Sight) -> None:
-        """Warp the part that a sight shows, as far as it is not there yet."""
+        """Warp the part that a sight shows, as far as it is not there yet; more roughly during a drag."""
         k = self._levels.of(sight.scale)
-        source, grid = self._levels.at(k)
+        source, _ = self._levels.at(k)
         place = k, _visible(sight, k, source.shape)
         stale = x0, y0, x1, y1 = place[1]
         if self.shown is None or place != self._place:
             self._laid.clear((x0, y0), (x1 - x0, y1 - y0), 2**k)
-        elif deformation is not self.shown:
-            stale = _common(stale, _cells(changed(self.shown.space, deformation.space), k))
+            self._rough = _NOTHING
         else:
-            return
+            anew = (
+                _cells(changed(self.shown.space, deformation.space), k) if deformation is not self.shown else _NOTHING
+            )
+            stale = _common(stale, _around(anew, self._rough) if sight.solved else anew)
         self._place, self.shown = place, deformation
         x0, y0, x1, y1 = stale
-        if x0 >= x1 or y0 >= y1:
-            return
+        if x0 < x1 and y0 < y1:
+            self._rough = _NOTHING if sight.solved else _around(self._rough, stale)
+            self._warp(deformation, sight, k, stale)
+
+    def _warp(self, deformation: Deformation, sight: Sight, k: int, part: Rectangle) -> None:
+        source, grid = self._levels.at(k)
+        x0, y0, x1, y1 = part
         if deformation.is_identity:
             made = source[y0:y1, x0:x1]
         else:
-            part = grid.crop((x0, y0), (x1 - x0, y1 - y0))
-            space = replace(_reduced(deformation, k, source.shape), grid=part)
-            made, _ = warp_array(source, space, DEFAULT, alpha=self._levels.has_alpha)
+            space = replace(_reduced(deformation, k, source.shape), grid=grid.crop((x0, y0), (x1 - x0, y1 - y0)))
+            made, _ = warp_array(source, space, DEFAULT if sight.solved else _ROUGH, alpha=self._levels.has_alpha)
         self._laid.put((x0, y0), made)
 
     def draw(self, sight: Sight, texture: Any, encoder: Any = None) -> None:
@@ -333,6 +342,10 @@ def _visible(sight: Sight, k: int, shape: tuple[int, ...]) -> Rectangle:
 
 def _common(one: Rectangle, other: Rectangle) -> Rectangle:
     return max(one[0], other[0]), max(one[1], other[1]), min(one[2], other[2]), min(one[3], other[3])
+
+
+def _around(one: Rectangle, other: Rectangle) -> Rectangle:
+    return min(one[0], other[0]), min(one[1], other[1]), max(one[2], other[2]), max(one[3], other[3])
 
 
 _PLAIN = np.zeros(0, STROKE_DTYPE)
