@@ -32,6 +32,7 @@ import supple
 from supple.engine import core
 from supple.gpu.device import open_gpu
 from supple.media import image
+from supple.space.freezing import Freeze
 from supple.strokes import Recipe, Stroke
 from supple.viewer.panels.view import BAR, LINE, WIDE
 from supple.viewer.tools.planes import RENDERED
@@ -66,15 +67,22 @@ view.close()
 _LOOP = SimpleNamespace(call_later=lambda seconds, work: None)  # frames are drawn from here: nothing comes later
 
 
-def opened(source: Any) -> tuple[Any, Any]:
-    """A view of 20 strokes."""
+def opened(source: Any, *, scale: float = 1.0, frozen: bool = False) -> tuple[Any, Any]:
+    """A view of 20 strokes, and, after half of them, of a freeze beside the drag."""
     from rendercanvas.offscreen import RenderCanvas
 
     from supple.viewer.window.launch import opened as opened_on
 
     canvas = RenderCanvas(size=(1280, 800))
-    strokes = tuple(Stroke.grab((150 + 80 * k, 300 + 20 * k), by=(15, 28), radius=120) for k in range(20))
-    view = opened_on(source, Recipe(border=None, strokes=strokes), canvas, _LOOP)
+    strokes = [
+        Stroke.grab((scale * (150 + 80 * k), scale * (300 + 20 * k)), by=(15 * scale, 28 * scale), radius=120 * scale)
+        for k in range(20)
+    ]
+    if frozen:
+        y, x = np.ogrid[: source.shape[0], : source.shape[1]]
+        mask = np.hypot((x / scale - 480) / 220, (y / scale - 560) / 160) < 1
+        strokes.insert(10, Stroke.freeze(Freeze.of(mask), ndim=2))
+    view = opened_on(source, Recipe(border=None, strokes=tuple(strokes)), canvas, _LOOP)
     canvas.draw()
     # Without a screen, it would read each picture back; a screen takes it where it is.
     view._context._rc_present = lambda **options: {"method": "skip"}
@@ -285,6 +293,17 @@ def main() -> None:
         print(f"| the CPU's warp, on the same thread | {milliseconds(warp)} | |")
         print(f"| frames a second meanwhile, drawn at 1/{view.painter.coarse} | {rate:.0f} | 25 |")
         view.close()
+        large = np.tile(photo, (4, 4, 1))[:4000, :6000]
+        for what, source, scale, frozen, bar in (
+            ("the same, 1080p, with a freeze among the strokes", photo, 1.0, True, 25),
+            ("the same, 24 megapixels", large, 4000 / 1080, False, 12),
+            ("the same, 24 megapixels, with a freeze among the strokes", large, 4000 / 1080, True, 12),
+        ):
+            view, canvas = opened(source, scale=scale, frozen=frozen)
+            (python, native, warp), rate, _ = dragged(view, canvas)
+            print(f"| {what}: the CPU's warp, of one thread | {milliseconds(warp)} | |")
+            print(f"| frames a second | {rate:.0f} | {bar} |")
+            view.close()
         rate, due, seen = played(clip(Path(folder) / "clip.mp4"))
         print(
             f"| 1080p clip of {rate:g} frames a second, bent and played: frames of {due} | {seen} | {due}, on a GPU |"
