@@ -83,8 +83,7 @@ def move_points(
     source, target : str or os.PathLike
         Of one kind: .csv, .tsv, .txt; .fcsv; .mrk.json; or a mesh: .stl, .obj, .ply, .vtk (PolyData), .vtp; or
         contours, a structure set .dcm. All but the coordinates is kept; a table also gets a column ``error_mm``, or
-        ``error_px`` without a geometry, and VTK PolyData such an array of its points; normals of a mesh turn with its
-        surface.
+        ``error_px`` without a geometry; normals of a mesh turn with its surface.
     deformation : Deformation
         A deformation of an image, for which only x and y are mapped, of a clip, or of a volume.
     geometry : Geometry, optional

@@ -67,7 +67,8 @@ class PointFile:
 
     def parts(self) -> list[Part]:
         """Return what joins the points of a mesh; SuppleError if nothing does, or that is damaged."""
-        made = self._as_read.parts() if isinstance(self._as_read, Mesh) else []
+        with meshes.parsing(self.name):
+            made = self._as_read.parts() if isinstance(self._as_read, Mesh) else []
         if not any(len(part.triangles) + len(part.lines) for part in made):
             raise unreadable(self.name, "it has no faces, lines or contours", "give a mesh")
         return made
@@ -138,8 +139,8 @@ def write_points(
     what it derives from the points of a plane.
 
     The suffix, and the shape and convention of the points, are those of ``like``. ``notes``, a name and
-    a number for each point, become the last column of a CSV, or the one of that name, and an array of the points of VTK
-    PolyData; ``normals`` are those of a mesh, by default those of ``like``.
+    a number for each point, become the last column of a CSV, or the one of that name; ``normals`` are those of a mesh,
+    by default those of ``like``.
     """
     check_target(path, f"x{next(suffix for suffix, kind in _FORMATS.items() if kind == like.kind)}")
     made = np.asarray(points, np.float64)
@@ -148,8 +149,6 @@ def write_points(
         raise SuppleError(f"cannot write {shown(path)}: points must be {wanted}, as in {like.name}")
     if isinstance(like._as_read, Mesh):
         data = like._as_read.rewritten(made, like.normals if normals is None else normals)
-        if notes is not None and like.kind in meshes.NOTED and notes[1].any():
-            data = meshes.noted(data, like.kind, *notes)
     elif isinstance(like._as_read, Table):
         column = None if notes is None or like.kind != "CSV" else (notes[0], [f"{x:.3g}" for x in notes[1].tolist()])
         data = like._as_read.written(made, like.points, column).encode("utf-8", "surrogateescape")

@@ -82,7 +82,7 @@ def parsed(path: PathLike, data: bytes, series: Volume | None = None) -> Mesh:
             raise SuppleError(f"{told}: mend that file") from error
         return held.getvalue()
 
-    return Mesh(points, "LPS", rewritten, lambda: _parts(path, dataset, len(points)))
+    return Mesh(points, "LPS", rewritten, lambda: _parts(dataset, len(points)))
 
 
 def _is_whole(raw: Any) -> bool:
@@ -97,7 +97,7 @@ def _contours(dataset: Any) -> list[Any]:
     return [contour for contour in every if contour.get("ContourData")]
 
 
-def _parts(path: PathLike, dataset: Any, count: int) -> list[Part]:
+def _parts(dataset: Any, count: int) -> list[Part]:
     """Return the contours of each region, closed where they are closed, in the colour of the region."""
     made, begin = [], 0
     for region in dataset.get("ROIContourSequence") or []:
@@ -113,7 +113,7 @@ def _parts(path: PathLike, dataset: Any, count: int) -> list[Part]:
         shades = [int(shade) / 255 for shade in region.get("ROIDisplayColor") or ()]
         good = len(shades) == 3 and 0 <= min(shades) <= max(shades) <= 1
         colour = (shades[0], shades[1], shades[2]) if good else None
-        made.append(part_of(path, count, lines=joined(runs), colour=colour))
+        made.append(part_of(count, lines=joined(runs), colour=colour))
     return made
 
 
