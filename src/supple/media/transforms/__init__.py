@@ -7,13 +7,14 @@ displacements of volumes are in millimetres in LPS, those of pictures in pixels.
 from __future__ import annotations
 
 import os
+import struct
 from collections.abc import Callable, Sequence
 from functools import partial
 from types import ModuleType
 from typing import NamedTuple
 
-from supple.errors import SuppleError, argument, shown
-from supple.media.files import PathLike, head_of, unreadable, unwritable
+from supple.errors import SuppleError, argument, said, shown
+from supple.media.files import PathLike, head_of, refusing, unreadable, unwritable
 from supple.media.image.formats import SUFFIXES as PICTURES
 from supple.media.suffixes import CLIPS
 from supple.media.transforms import affines, base, fields, itk, ngff, pictures
@@ -213,7 +214,10 @@ def read(
     the file holds no such map.
     """
     name = convention_in(path) if convention is None else convention
-    contents = form_of(path, name).read(path, base.Grids(source, reference))
+    form, what = form_of(path, name), f"it is damaged, or no file of the convention {name}"
+    kinds = ValueError, LookupError, OverflowError, struct.error
+    with refusing(lambda error: unreadable(path, f"{what} ({said(error)})", "check its name and convention"), *kinds):
+        contents = form.read(path, base.Grids(source, reference))
     if any(isinstance(each, Displacements) and each.grid.shear for each in contents):
         raise unreadable(path, "the axes of its grid are not at right angles to each other", "resample it first")
     return contents

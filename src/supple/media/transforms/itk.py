@@ -283,37 +283,21 @@ def write_field(
 
 
 def _nrrd(field: npt.NDArray[Any], geometry: Geometry) -> str:
-    def vector(numbers: npt.ArrayLike) -> str:
-        return f"({spelled(numbers).replace(' ', ',')})"
-
-    lines = {
-        "type": _TYPES[field.dtype][0],
-        "dimension": "4",
-        "space": "left-posterior-superior",
-        "sizes": f"3 {' '.join(map(str, field.shape[2::-1]))}",
-        "space directions": " ".join(["none", *(vector(axis) for axis in geometry.matrix[:3, :3].T)]),
-        "kinds": "vector domain domain domain",
-        "endian": "little",
-        "encoding": "raw",
-        "space origin": vector(geometry.origin),
-    }
-    return "".join(["NRRD0004\n", *(f"{key}: {value}\n" for key, value in lines.items()), "\n"])
+    first, *axes = (
+        f"({spelled(numbers).replace(' ', ',')})" for numbers in (geometry.origin, *geometry.matrix[:3, :3].T)
+    )
+    return (
+        f"NRRD0004\ntype: {_TYPES[field.dtype][0]}\ndimension: 4\nspace: left-posterior-superior\n"
+        f"sizes: 3 {' '.join(map(str, field.shape[2::-1]))}\nspace directions: none {' '.join(axes)}\n"
+        f"kinds: vector domain domain domain\nendian: little\nencoding: raw\nspace origin: {first}\n\n"
+    )
 
 
 def _mha(field: npt.NDArray[Any], geometry: Geometry) -> str:
-    lines = {
-        "ObjectType": "Image",
-        "NDims": "3",
-        "BinaryData": "True",
-        "BinaryDataByteOrderMSB": "False",
-        "CompressedData": "False",
-        "TransformMatrix": spelled(geometry.direction.T),
-        "Offset": spelled(geometry.origin),
-        "CenterOfRotation": "0 0 0",
-        "ElementSpacing": spelled(geometry.spacing),
-        "DimSize": " ".join(map(str, field.shape[2::-1])),
-        "ElementNumberOfChannels": "3",
-        "ElementType": _TYPES[field.dtype][1],
-        "ElementDataFile": "LOCAL",
-    }
-    return "".join(f"{key} = {value}\n" for key, value in lines.items())
+    return (
+        "ObjectType = Image\nNDims = 3\nBinaryData = True\nBinaryDataByteOrderMSB = False\nCompressedData = False\n"
+        f"TransformMatrix = {spelled(geometry.direction.T)}\nOffset = {spelled(geometry.origin)}\n"
+        f"CenterOfRotation = 0 0 0\nElementSpacing = {spelled(geometry.spacing)}\n"
+        f"DimSize = {' '.join(map(str, field.shape[2::-1]))}\nElementNumberOfChannels = 3\n"
+        f"ElementType = {_TYPES[field.dtype][1]}\nElementDataFile = LOCAL\n"
+    )
