@@ -25,7 +25,7 @@ from supple.space.checks import library_of, refuse
 from supple.space.geometry import Geometry, Grid
 
 SUFFIXES_OUT = (".nii", ".nii.gz", ".nrrd", ".mha", ".h5")
-IMAGES = {".nii": "", ".nii.gz": "", ".nrrd": "NRRD", ".nhdr": "NRRD", ".mha": "MetaImage", ".mhd": "MetaImage"}
+IMAGES = (*NIFTI, ".nrrd", ".nhdr", ".mha", ".mhd")
 TRANSFORMS = (".h5", ".hdf5", ".tfm", ".txt", ".mat")
 _MANY = (".h5", ".tfm")
 _OUT = tuple(dict.fromkeys((*SUFFIXES_OUT, *TRANSFORMS)))
@@ -42,14 +42,14 @@ def read(path: PathLike, grids: base.Grids) -> tuple[base.Content, ...]:
     """Read a vector image or a file of transforms."""
     suffix = base.suffix_of(path, (*IMAGES, *TRANSFORMS))
     if suffix in IMAGES:
-        return (_field(path, IMAGES[suffix]),)
+        return (_field(path, suffix in NIFTI),)
     check_suffix(path, suffix, TRANSFORMS, _NONE, f"use {', '.join((*IMAGES, *TRANSFORMS))}", "read")
     return _transforms(path, suffix)
 
 
-def _field(path: PathLike, form: str) -> base.Displacements:
-    volume = itk.read(path, form) if form else nifti.read(path)
-    if not form:
+def _field(path: PathLike, in_nifti: bool) -> base.Displacements:
+    volume = (nifti if in_nifti else itk).read(path)
+    if in_nifti:
         check_header(path, volume, "itk")
         code = int(volume.header["intent_code"])
         if code == DISPLACEMENT:
