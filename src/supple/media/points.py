@@ -7,14 +7,14 @@ import json
 import re
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from supple.errors import SuppleError, shown
+from supple.errors import SuppleError, said, shown
 from supple.media import meshes
-from supple.media.files import PathLike, check_suffix, head_of, replacing, unreadable
+from supple.media.files import PathLike, check_suffix, head_of, refusing, replacing, unreadable
 from supple.media.meshes import Ints, Mesh, Part
 from supple.media.tables import Table, parsed
 from supple.media.volume import Volume
@@ -174,67 +174,52 @@ def _text(path: PathLike) -> str:
 
 
 def _from_json(name: str, text: str, boxes: bool) -> PointFile:
-    def refuse(where: str, found: str, advice: str) -> NoReturn:
-        raise SuppleError(f"cannot read {name}: {where}{found}: {advice}")
+    where = ""
 
-    slicer = "save it from Slicer as .mrk.json"
-    try:
+    def refused(error: Exception) -> SuppleError:
+        what = f"{where}it is damaged, or no list of markups ({said(error)})"
+        return unreadable(name, what, "save it from Slicer as .mrk.json")
+
+    places: list[tuple[int, int, bool]] = []
+    points: list[Floats] = []
+    labels, first = [], ""
+    with refusing(refused, ValueError, LookupError, TypeError, AttributeError, RecursionError):
         data = json.loads(text.removeprefix("\ufeff"))
-    except json.JSONDecodeError as error:
-        refuse(f"line {error.lineno}: ", f"it is no whole JSON ({error.msg})", slicer)
-    except (ValueError, RecursionError):
-        refuse("", "it is JSON of a size or depth that nobody needs", slicer)
-    markups = data.get("markups") if isinstance(data, dict) else None
-    if not isinstance(markups, list):
-        refuse("", 'it has no list "markups"', slicer)
-    places, points, labels, first = [], [], [], ""
-    for m, markup in enumerate(markups):
-        where = f"markup {m + 1}: "
-        controls = markup.get("controlPoints") if isinstance(markup, dict) else None
-        if not isinstance(controls, list):
-            refuse(where, 'it has no list "controlPoints"', slicer)
-        convention = markup.get("coordinateSystem", "LPS")
-        if convention not in ("LPS", "RAS"):
-            refuse(where, f"its coordinateSystem is {value_shown(convention)}", 'give "LPS" or "RAS"')
-        unit = markup.get("coordinateUnits", "mm")
-        if unit != "mm" and not (isinstance(unit, list) and unit and unit[0] == "mm"):
-            refuse(where, f"its coordinateUnits are {value_shown(unit)}", 'give "mm"')
-        for k, control in enumerate(controls):
-            where = f"markup {m + 1}, control point {k + 1}: "
-            if not isinstance(control, dict):
-                refuse(where, f"it is {value_shown(control)}", "give an object with a position")
-            if control.get("positionStatus", "defined") != "defined":
-                continue
-            first = first or convention
-            position = _position(control.get("position"))
-            if position is None:
-                found = (
-                    f"its position is {value_shown(control['position'])}" if "position" in control else "no position"
-                )
-                refuse(where, found, f"give three numbers from {-LARGEST:g} to {LARGEST:g}")
-            places.append((m, k, convention != first))
-            points.append(position * FLIP if convention != first else position)
-            labels.append(str(control.get("label") or ""))
-        if boxes and markup.get("type") == "ROI" and "size" in markup:
-            box = _box(markup)
-            if box is None:
-                given = ", ".join(f"{key} {value_shown(markup.get(key))}" for key in ("center", "size", "orientation"))
-                refuse(f"markup {m + 1}: ", f"its box is {given}", "give 3, 3 and 9 numbers")
-            first = first or convention
-            places += [(m, -1, convention != first)] * len(box)
-            points += list(box * FLIP if convention != first else box)
-            labels += [""] * len(box)
+        for m, markup in enumerate(data["markups"]):
+            where = f"markup {m + 1}: "
+            convention, unit = markup.get("coordinateSystem", "LPS"), markup.get("coordinateUnits", "mm")
+            if convention not in ("LPS", "RAS") or "mm" not in (unit, *unit[:1]):
+                raise ValueError(f"coordinates in {value_shown(convention)}, {value_shown(unit)}, not LPS or RAS in mm")
+            placed = [
+                (k, control)
+                for k, control in enumerate(markup["controlPoints"])
+                if control.get("positionStatus", "defined") == "defined"
+            ]
+            found = [(k, _numbers(one["position"]), str(one.get("label") or "")) for k, one in placed]
+            if boxes and markup.get("type") == "ROI" and "size" in markup:
+                found += [(-1, corner, "") for corner in _box(markup)]
+            for k, point, label in found:
+                first = first or convention
+                flipped = convention != first
+                places.append((m, k, flipped))
+                points.append(point * FLIP if flipped else point)
+                labels.append(label)
     if not points:
-        refuse("", "it holds no points that are placed", "place some")
+        raise unreadable(name, "it holds no points that are placed", "place some")
     return PointFile(np.array(points), first, tuple(labels), name, "JSON", _Markups(data, tuple(places), text))
 
 
-def _box(markup: dict[str, Any]) -> Floats | None:
-    """Return the centre of a region, and those of its faces, (7, 3); None if a number is missing."""
-    centre, size = (_position(markup.get(key)) for key in ("center", "size"))
-    turn = _position(markup.get("orientation", np.eye(3).ravel().tolist()), 9)
-    if centre is None or size is None or turn is None:
-        return None
+def _numbers(value: object, count: int = 3) -> Floats:
+    made = np.array(value, np.float64)
+    if made.shape != (count,) or not (np.abs(made) <= LARGEST).all():
+        raise ValueError(f"{value_shown(value)} is not {count} numbers from {-LARGEST:g} to {LARGEST:g}")
+    return made
+
+
+def _box(markup: dict[str, Any]) -> Floats:
+    """Return the centre of a region, and those of its faces, (7, 3); ValueError if a number is missing."""
+    centre, size = (_numbers(markup.get(key)) for key in ("center", "size"))
+    turn = _numbers(markup.get("orientation", np.eye(3).ravel().tolist()), 9)
     return np.asarray(centre + _BOX * size @ turn.reshape(3, 3).T)
 
 
@@ -268,14 +253,6 @@ def _drop_measured(markup: dict[str, Any], m: int, name: str) -> None:
             raise SuppleError(f"{told}: make it one of three points in 3D Slicer, or leave it out")
         for key in (*_OF_PLANES, *(_SIZES if markup.get("sizeMode", "auto") == "auto" else ())):
             markup.pop(key, None)
-
-
-def _position(value: object, count: int = 3) -> Floats | None:
-    if not isinstance(value, list) or len(value) != count:
-        return None
-    if not all(isinstance(x, int | float) and not isinstance(x, bool) and abs(x) <= LARGEST for x in value):
-        return None
-    return np.array(value, np.float64)
 
 
 def _to_json(markups: _Markups, points: Floats, before: Floats, name: str) -> str:

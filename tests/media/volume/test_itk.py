@@ -75,7 +75,7 @@ class TestITKFormats:
             (".mha", "ElementSpacing = 1", "ElementSpacing = 0", "spacing is 0 x"),
             (".mha", "ElementSpacing = 1", "ElementSpacing = -1", "spacing is -1 x"),
             (".mha", "ElementSpacing = 1", "ElementSpacing = nan", "spacing is nan x 2 x 3"),
-            (".mha", "DimSize = 6 5 4", "DimSize = 6 -5 4", "6 x -5 x 4 voxels, which is none"),
+            (".mha", "DimSize = 6 5 4", "DimSize = 6 -5 4", "its header says 6 x -5 x 4"),
             (".mha", "DimSize = 6 5 4", "DimSize = 60000 50000 40000", "60000 x 50000 x 40000"),
             (".mha", "DimSize = 6 5 4", "DimSize = 6 5 8", "cut short"),
             (".nrrd", "sizes: 6 5 4", "sizes: 6 0 4", "size is zero"),
@@ -163,10 +163,7 @@ class TestITKFormats:
         assert name + b"6 5 4" in path.read_bytes()
         path.write_bytes(path.read_bytes().replace(name + b"6", name + size))
         message = refused(read, path)
-        if told:
-            assert told in message
-        elif suffix.startswith(".m"):
-            assert "0 x 5 x 4 voxels, which is none" in message
+        assert told in message
 
     @pytest.mark.parametrize(
         ("old", "new", "told"),

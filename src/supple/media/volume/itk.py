@@ -23,7 +23,7 @@ from supple.media.volume.data import DTYPES, Array, Volume, check_spacing, locat
 from supple.media.volume.raw import count_bytes
 from supple.space.geometry import Geometry
 
-_LOADERS = {"NRRD": "NrrdImageIO", "MetaImage": "MetaImageIO"}
+_LOADERS = {"NRRD": "NrrdImageIO", "MetaImage": "MetaImageIO", "DICOM": "GDCMImageIO", "NIfTI": "NiftiImageIO"}
 _MILLIMETRES = {"", "???", "mm", "millimeter", "millimeters", "millimetre", "millimetres"}
 # ITK's own entries, and entries that it always writes
 _OWN = re.compile(r"ITK_|NRRD_space$|NRRD_kinds|NRRD_sizes|NRRD_thicknesses")
@@ -80,11 +80,7 @@ def read(path: PathLike, *, header_only: bool = False) -> Volume:
         raise unreadable(path, "it is no NRRD file", "check its name")
     fields, end = _fields(path, form)
     data = _data_file(path, fields)
-    reader = sitk.ImageFileReader()
-    reader.SetFileName(os.fspath(path))
-    reader.SetImageIO(_LOADERS[form])
-    with failing(path, form):
-        reader.ReadImageInformation()
+    reader = informed(path, form)
     check_voxels(path, sitk, reader)
     sizes, ndim = tuple(reader.GetSize()), reader.GetDimension()
     series, components = ndim == 4, reader.GetNumberOfComponents()
@@ -111,6 +107,16 @@ def read(path: PathLike, *, header_only: bool = False) -> Volume:
     with failing(path, form, sizes):
         samples = sitk.GetArrayFromImage(reader.Execute())
     return replace(found, samples=samples.reshape(shape))
+
+
+def informed(path: PathLike, form: str, file: PathLike | None = None) -> Any:
+    """Return ITK's reader of a file, with the header read; ``file`` is that of the header, if another than ``path``."""
+    reader = imported().ImageFileReader()
+    reader.SetImageIO(_LOADERS[form])
+    reader.SetFileName(os.fspath(path if file is None else file))
+    with failing(path, form):
+        reader.ReadImageInformation()
+    return reader
 
 
 def _scaling(path: PathLike, fields: dict[str, str]) -> tuple[float, float]:
@@ -168,8 +174,6 @@ def _check_data(path: PathLike, data: Path | None, fields: dict[str, str], end: 
         known = fields.get("encoding", "").lower()
         skipped = "0" if {fields.get("byteskip", "0"), fields.get("lineskip", "0")} == {"0"} else "-1"
     told = " x ".join(map(str, sizes))
-    if min(sizes, default=0) < 1:
-        raise unreadable(path, f"its header says {told} voxels, which is none", "correct its header")
     if data is None or known not in ("raw", "gzip", "gz") or not skipped.isdigit():
         return  # only ITK can read these
     wanted, packed = each * math.prod(sizes), None

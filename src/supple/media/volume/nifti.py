@@ -10,10 +10,7 @@ import sys
 import warnings
 from collections.abc import Iterator
 from dataclasses import replace
-from importlib import import_module
-from importlib.util import find_spec
 from pathlib import Path
-from types import ModuleType
 from typing import IO, Any, cast
 
 import numpy as np
@@ -34,30 +31,22 @@ _SAME = 0.01  # of a voxel: the largest difference of qform and sform by roundin
 _TO_RAS = np.diag([-1.0, -1.0, 1.0, 1.0])  # from LPS
 
 
-class _Later(ModuleType):
-    """A module that is imported where something of it is used."""
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(import_module(self.__name__), name)
-
-
 def imported() -> Any:
     """Return nibabel, imported at the first use.
 
-    It imports pydicom, for an extension of NIfTI that few files have, and that takes longer than all of nibabel: it
-    gets a module that does so later.
+    It would import pydicom, for an extension of NIfTI that few files have, which takes seven times as long as all of
+    nibabel: without it, these extensions are bytes, as they are copied.
     """
     need("volume", "NIfTI files", "nibabel")
-    if sys.modules.keys() & {"nibabel", "pydicom"} or find_spec("pydicom") is None:
-        import nibabel
-
-        return nibabel
-    later = sys.modules["pydicom"] = _Later("pydicom")
-    later.__dict__["Dataset"] = object  # of which nibabel makes an alias for type checkers
+    hidden = not sys.modules.keys() & {"nibabel", "pydicom"}
+    if hidden:
+        sys.modules["pydicom"] = None  # type: ignore[assignment]
     try:
-        return import_module("nibabel")
+        import nibabel
     finally:
-        del sys.modules["pydicom"], later.__dict__["Dataset"]
+        if hidden:
+            del sys.modules["pydicom"]
+    return nibabel
 
 
 def read(path: PathLike, *, header_only: bool = False) -> Volume:
@@ -232,15 +221,14 @@ def _geometry(path: PathLike, first: Path, header: Any, sizes: tuple[int, ...], 
     for form in (sform, qform):
         if form is not None:
             form[:3] *= unit
-    geometry = placed(path, known, "RAS")
+    geometry, name = placed(path, known, "RAS"), shown(path)
+    others = "SimpleITK, ANTs and 3D Slicer"
     if sform is None or qform is None:
         alike = geometry.shear or np.allclose(geometry.spacing, steps, rtol=_SAME, atol=0.0)  # ITK opens no sheared one
         if sform is not None and not alike:
-            told = ["×".join(f"{x:.4g}" for x in sizes) for sizes in (geometry.spacing, steps)]
-            text = (
-                f"the sform of {shown(path)} has voxels of {told[0]} mm and its pixdim {told[1]} mm: the sform is used"
-            )
-            text += "; SimpleITK, ANTs and 3D Slicer use pixdim"
+            own, told = ("×".join(f"{x:.4g}" for x in sizes) for sizes in (geometry.spacing, steps))
+            text = f"the sform of {name} has voxels of {own} mm and its pixdim {told} mm: the sform is used; "
+            text += f"{others} use pixdim"
     else:
         corners = np.array([(*corner, 1.0) for corner in np.ndindex(2, 2, 2)]) * [*(np.array(sizes) - 1), 1]
 
@@ -249,26 +237,16 @@ def _geometry(path: PathLike, first: Path, header: Any, sizes: tuple[int, ...], 
 
         far = apart(sform, qform)
         if far > _SAME * min(steps) and geometry.shear:
-            text = (
-                f"the axes of {shown(path)} miss right angles by {geometry.shear:.3g}°, which its sform holds, and no "
-            )
-            text += f"qform can: the sform is used; SimpleITK, ANTs and 3D Slicer use the qform, up to {far:.3g} mm off"
+            text = f"the axes of {name} miss right angles by {geometry.shear:.3g}°, which its sform holds, and no qform "
+            text += f"can: the sform is used; {others} use the qform, up to {far:.3g} mm off"
         elif far > _SAME * min(steps):
             # Programs that share fields and landmarks read the file by ITK, whose choice depends on the codes.
             from supple.media.volume import itk
 
-            reader = itk.imported().ImageFileReader()
-            reader.SetImageIO("NiftiImageIO")
-            reader.SetFileName(os.fspath(first))
-            with itk.failing(path, "NIfTI"):
-                reader.ReadImageInformation()
-            geometry = itk.geometry_of(path, reader, "RAS")
+            geometry = itk.geometry_of(path, itk.informed(path, "NIfTI", first), "RAS")
             by_itk = _TO_RAS @ geometry.matrix
             used = "sform" if apart(by_itk, sform) <= apart(by_itk, qform) else "qform"
-            text = (
-                f"the qform and the sform of {shown(path)} disagree, by up to {far:.3g} mm: the {used} is used, as by "
-            )
-            text += "SimpleITK, ANTs and 3D Slicer"
+            text = f"the qform and the sform of {name} disagree, by up to {far:.3g} mm: the {used} is used, as by {others}"
     if text:
         warnings.warn(text, VolumeWarning, stacklevel=6)
     return geometry
