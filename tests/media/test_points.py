@@ -206,7 +206,9 @@ class TestWhatCannotBeRead:
     )
     def test_slicers_markups(self, tmp_path: Path, text: str, message: str) -> None:
         (tmp_path / "in.mrk.json").write_text(text)
-        assert refused(read_points, tmp_path / "in.mrk.json").startswith(f"cannot read {tmp_path}/in.mrk.json: {message}")
+        assert refused(read_points, tmp_path / "in.mrk.json").startswith(
+            f"cannot read {tmp_path}/in.mrk.json: {message}"
+        )
 
     def test_no_files(self, tmp_path: Path) -> None:
         (tmp_path / "folder.csv").mkdir()

@@ -13,7 +13,7 @@ import pytest
 from supple import SuppleError
 from supple.media.transforms import Displacements, read, write
 from supple.space.geometry import Grid
-from tests.media.transforms.mapping import mapped, sampled
+from tests.media.transforms.mapping import sampled
 
 Array = npt.NDArray[Any]
 
@@ -76,15 +76,6 @@ def test_a_ramp_and_an_image_through_remap(tmp_path: Path) -> None:
     image = cv2.GaussianBlur(np.random.default_rng(0).uniform(0, 255, (*SHAPE, 3)).astype("f4"), (0, 0), 2)
     seen = sampled(image, read(tmp_path / "a.npz", "opencv"), SHAPE)
     np.testing.assert_allclose(seen, cv2.remap(image, x, y, **options), atol=1e-3)
-
-
-def test_landmarks_of_a_lens(tmp_path: Path) -> None:
-    camera, lens = np.array([[60, 0, 26], [0, 60, 18], [0, 0, 1.0]]), np.array([-0.2, 0.05, 0.001, 0.002, 0])
-    x, y = cv2.initUndistortRectifyMap(camera, lens, None, camera, SHAPE[::-1], cv2.CV_32FC1)
-    read_back = read(stored(tmp_path / "lens.xml", map1=x, map2=y))
-    points = np.random.default_rng(0).uniform([8, 6], [44, 30], (20, 2))
-    ideal = cv2.undistortPoints(points[:, None], camera, lens, P=camera)[:, 0]
-    assert np.abs(mapped(read_back, ideal) - points).max() < 1e-3
 
 
 @pytest.mark.parametrize("suffix", [".npy", ".npz", ".xml", ".yml", ".yaml"])

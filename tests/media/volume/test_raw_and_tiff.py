@@ -198,9 +198,9 @@ class TestAxes:
     @pytest.mark.parametrize(
         ("axes", "told"),
         [
-            ("TCZYX", "it holds 3 times and 2 channels: bend it to a Zarr store"),
+            ("TCZYX", "it holds channels or colours of several times: bend it to a Zarr store"),
             ("CZYXS", "its axes are 2 C x 4 Z x 5 Y x 6 X x 3 S"),
-            ("TZYXS", "it holds colours of several times"),
+            ("TZYXS", "it holds channels or colours of several times"),
             ("QQYX", "its axes are 2 Q x 2 Q x 5 Y x 6 X"),
         ],
     )

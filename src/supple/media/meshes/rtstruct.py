@@ -158,7 +158,9 @@ def _renew(made: Any) -> None:
         made.ApprovalStatus = "UNAPPROVED"
     made.file_meta.MediaStorageSOPInstanceUID = made.SOPInstanceUID
     explicit = not made.file_meta.TransferSyntaxUID.is_implicit_VR
-    if explicit and any(sum(len(str(value)) + 1 for value in contour.ContourData) > _LONG for contour in _contours(made)):
+    if explicit and any(
+        sum(len(str(value)) + 1 for value in contour.ContourData) > _LONG for contour in _contours(made)
+    ):
         made.file_meta.TransferSyntaxUID = imported().uid.ImplicitVRLittleEndian
 
 
@@ -191,4 +193,3 @@ def _refer(made: Any, series: Volume) -> None:
             at = series.geometry.to_lps((0.0, 0.0, k))
             one.ReferencedFrameNumber = 1 + (k if places is None else int(((places - at) ** 2).sum(axis=1).argmin()))
         contour.ContourImageSequence = [one]
-

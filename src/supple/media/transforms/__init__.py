@@ -16,7 +16,6 @@ from typing import NamedTuple
 from supple.errors import SuppleError, argument, said, shown
 from supple.media.files import PathLike, head_of, refusing, unreadable, unwritable
 from supple.media.image.formats import SUFFIXES as PICTURES
-from supple.media.suffixes import CLIPS
 from supple.media.transforms import affines, base, fields, itk, ngff, pictures
 from supple.media.transforms.base import Content, Displacements, MissingGridError
 from supple.media.transforms.itk import SUFFIXES_OUT, check_target, write_field
@@ -107,9 +106,8 @@ CONVENTIONS = {
 }  # fmt: skip
 """By their names: in memory, all are displacements in millimetres in LPS, or in pixels."""
 _SUFFIXES = tuple({suffix for row in CONVENTIONS.values() for form in row.forms for suffix in form.suffixes})
-_NUMBERS = "its numbers may be positions, as of OpenCV's maps, or displacements", "if they are positions"
-_PICTURE = "it may be an STMap, or any other picture", "if it is one"
-_DOUBTFUL = {**dict.fromkeys((".npy", ".npz"), _NUMBERS), **dict.fromkeys((".tif", ".tiff", ".png"), _PICTURE)}
+_DOUBTFUL = dict.fromkeys((".npy", ".npz"), "a map of positions, as of OpenCV's")
+_DOUBTFUL |= dict.fromkeys((".tif", ".tiff", ".png"), "an STMap")
 """What holds maps of one convention, and as often something else: the convention is given."""
 _WARPS = (2006, 2018)  # intent codes of FNIRT and topup
 _COLOURS = (128, 2304)  # the datatypes RGB24 and RGBA32 of NIfTI
@@ -154,14 +152,10 @@ def _candidates(path: PathLike, verb: str) -> tuple[str, ...]:
     doubtful = suffix in _DOUBTFUL and (verb == "read" or suffix in PICTURES)
     if (doubtful or not names) and verb == "read" and not os.path.exists(path):
         raise unreadable(path, "No such file or directory", "check the name and its rights")
-    if doubtful and verb == "read":
-        what, fits = _DOUBTFUL[suffix]
-        raise unreadable(path, what, f"give {argument('convention', names[0])} {fits}")
     if doubtful:
-        raise unwritable(path, "a picture is not always an STMap", f"give the convention: {names[0]}")
-    if not names and (suffix in CLIPS or suffix in PICTURES):
-        what = f"the suffix {suffix} is of a {'clip' if suffix in CLIPS else 'picture'}, and of no field"
-        raise refused(path, what, "name a file of a field or of an affine map")
+        raise refused(
+            path, f"it is not always {_DOUBTFUL[suffix]}", f"give {argument('convention', names[0])} if it is"
+        )
     if not names:
         found = f"the suffix {shown(suffix)}" if suffix else "a name without suffix"
         raise refused(path, f"{found} tells no convention", "give the convention, or another name")

@@ -253,7 +253,9 @@ def _mif(path: PathLike) -> tuple[Array, Grid]:
         full = np.vstack([np.array([line.split(",") for line in told["transform"]], np.float64), np.eye(4)[3]])
         name, _, offset = told["file"][0].partition(" ")
         kind = re.fullmatch(r"float(32|64)(le|be)?", told["datatype"][0].lower())
-        good = end and start.startswith(b"mrtrix image") and sorted(order) == [0, 1, 2, 3] and count == 3 and name == "."
+        good = (
+            end and start.startswith(b"mrtrix image") and sorted(order) == [0, 1, 2, 3] and count == 3 and name == "."
+        )
         if kind is None or not good or "scaling" in told:
             raise unreadable(path, "it is no .mif file of x, y, z and three volumes of floats, as a warp is", _CONVERT)
         file.seek(int(offset or 0))
@@ -273,7 +275,9 @@ def _mgz(path: PathLike) -> tuple[Array, Grid, Vectors, Grid]:
     volume = mgh.read(path)
     tags = dict(_tags(volume.header[1])) if volume.series and len(volume.samples) == 3 else {}
     if not {_FORMAT, _PLACES} <= set(tags) or volume.samples.dtype != np.float32:
-        raise unreadable(path, "it is no warp: three floats for each voxel, and the places of two images", _CONVERT_WARP)
+        raise unreadable(
+            path, "it is no warp: three floats for each voxel, and the places of two images", _CONVERT_WARP
+        )
     places, (form,) = tags[_PLACES], struct.unpack_from(">i", tags[_FORMAT])
     half = len(places) // 2
     source, grid = _place(path, places[:half]), _place(path, places[half:])

@@ -17,7 +17,18 @@ import numpy as np
 
 from supple.errors import VolumeWarning, need, shown
 from supple.media.files import PathLike, head_of, replacing, unreadable
-from supple.media.volume.data import DTYPES, Array, Volume, check_spacing, located, native, placed, reading, too_large
+from supple.media.volume.data import (
+    DTYPES,
+    TO_RAS,
+    Array,
+    Volume,
+    check_spacing,
+    located,
+    native,
+    placed,
+    reading,
+    too_large,
+)
 from supple.space.geometry import Geometry
 
 _GZIP = b"\x1f\x8b"
@@ -28,7 +39,6 @@ _VECTOR = 1007  # the intent of a vector for each voxel
 LONGEST = 32_767  # an axis in the first version of the format
 _CHUNK = 1 << 22
 _SAME = 0.01  # of a voxel: the largest difference of qform and sform by rounding
-_TO_RAS = np.diag([-1.0, -1.0, 1.0, 1.0])  # from LPS
 
 
 def imported() -> Any:
@@ -237,16 +247,20 @@ def _geometry(path: PathLike, first: Path, header: Any, sizes: tuple[int, ...], 
 
         far = apart(sform, qform)
         if far > _SAME * min(steps) and geometry.shear:
-            text = f"the axes of {name} miss right angles by {geometry.shear:.3g}°, which its sform holds, and no qform "
+            text = (
+                f"the axes of {name} miss right angles by {geometry.shear:.3g}°, which its sform holds, and no qform "
+            )
             text += f"can: the sform is used; {others} use the qform, up to {far:.3g} mm off"
         elif far > _SAME * min(steps):
             # Programs that share fields and landmarks read the file by ITK, whose choice depends on the codes.
             from supple.media.volume import itk
 
             geometry = itk.geometry_of(path, itk.informed(path, "NIfTI", first), "RAS")
-            by_itk = _TO_RAS @ geometry.matrix
+            by_itk = TO_RAS @ geometry.matrix
             used = "sform" if apart(by_itk, sform) <= apart(by_itk, qform) else "qform"
-            text = f"the qform and the sform of {name} disagree, by up to {far:.3g} mm: the {used} is used, as by {others}"
+            text = (
+                f"the qform and the sform of {name} disagree, by up to {far:.3g} mm: the {used} is used, as by {others}"
+            )
     if text:
         warnings.warn(text, VolumeWarning, stacklevel=6)
     return geometry
@@ -333,7 +347,7 @@ def _placed(header: Any, like: Volume) -> Any:
     codes = [int(header[name]) for name in ("qform_code", "sform_code")]
     if like.geometry.convention == "array":
         return header
-    affine = _TO_RAS @ like.geometry.matrix
+    affine = TO_RAS @ like.geometry.matrix
     affine[:3] /= unit
     for set_form, code in zip((header.set_qform, header.set_sform), codes if any(codes) else (1, 1), strict=True):
         if code:
@@ -364,7 +378,7 @@ def _made(samples: Array, like: Volume) -> Any:
     else:
         header.set_data_shape((*like.sizes, len(samples)) if like.series else like.sizes)
     header.set_zooms((*spacing, like.interval) if like.series else (*spacing, 1.0, 1.0)[: len(header.get_data_shape())])
-    affine = _TO_RAS @ like.geometry.matrix
+    affine = TO_RAS @ like.geometry.matrix
     header.set_qform(affine, 1)
     header.set_sform(affine, 1)
     _check_forms(header, like)
