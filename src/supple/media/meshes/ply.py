@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import re
-from typing import Any, NamedTuple
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -21,7 +22,8 @@ _INDICES = ("vertex_indices", "vertex_index", "vertex1", "vertex2")
 _PLACE, _NORMAL = ["x", "y", "z"], ["nx", "ny", "nz"]
 
 
-class _Element(NamedTuple):
+@dataclass(frozen=True, slots=True)
+class _Element:
     name: str
     count: int
     properties: list[tuple[str, str, str]]  # names, dtypes, and of lists the dtype of their length, in order

@@ -93,9 +93,6 @@ def _transforms(path: PathLike, suffix: str) -> tuple[base.Content, ...]:
             whole = sitk.ReadTransform(os.fspath(path))
         except KeyError as error:  # a kind that SimpleITK's table of kinds lacks
             raise unreadable(path, "SimpleITK does not know its kind of transform", "write it as affine") from error
-    if whole.GetDimension() not in (2, 3):
-        what = f"it is a transform of {whole.GetDimension()} dimensions"
-        raise unreadable(path, what, "give one of pictures or volumes")
     return tuple(_contents(path, sitk, whole))
 
 
@@ -103,8 +100,6 @@ def contents_of(transform: Any) -> tuple[base.Content, ...]:
     """Return the matrices and fields of a transform of SimpleITK; SuppleError if it holds anything else."""
     if library_of(transform) != "SimpleITK" or not hasattr(transform, "TransformPoint"):
         refuse("path", "the name of a file, or a transform of SimpleITK", transform)
-    if transform.GetDimension() not in (2, 3):
-        refuse("path", "a transform of 2 or 3 dimensions", told=f"one of {transform.GetDimension()}")
     return tuple(_contents("the transform", itk.imported(), _kind_of(transform)))
 
 
