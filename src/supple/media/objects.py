@@ -43,7 +43,7 @@ def _of_itk(image: Any) -> Held:
     sitk = itk.imported()
     if "label" in image.GetPixelIDTypeAsString():  # whose voxels ITK does not give, and ends the process where asked
         raise SuppleError("an image of SimpleITK must have voxels, found a label map: SimpleITK.LabelMapToLabel(image)")
-    itk.check_voxels(_NAME, sitk, image)
+    itk.check_voxels(_NAME, image)
     ndim, several = image.GetDimension(), image.GetNumberOfComponentsPerPixel() > 1
     if ndim not in (2, 3, 4) or (ndim == 4 and several):
         kind = " of vectors" if several else ""

@@ -27,7 +27,7 @@ class TestRaw:
     def test_dat_of_another_size(self, tmp_path, extra):
         data = struct.pack("<3H", 6, 5, 4) + bytes(240 + extra)
         (tmp_path / "in.dat").write_bytes(data)
-        assert f"6 x 5 x 4 samples of 16 bits, 246 bytes in all, and it has {246 + extra}" in refused(
+        assert f"6 x 5 x 4 voxels of uint16 after 6 bytes take 246 bytes, and it has {246 + extra}" in refused(
             read, tmp_path / "in.dat"
         )
 

@@ -59,38 +59,38 @@ def _form(module: ModuleType, name: str, suffixes: tuple[str, ...]) -> Form:
     return Form(suffixes, partial(module.read, convention=name), partial(module.write, convention=name))
 
 
-def _field(name: str, label: str, holds: str, space: str, *more: str) -> Convention:
+def _field(name: str, label: str, *more: str) -> Convention:
     """Return a convention of fields in millimetres, in NIfTI files and those of more suffixes."""
-    return Convention(label, holds, space, "mm", (_form(fields, name, (*fields.NIFTI, *more)),))
+    kind = fields.VECTORS[name]
+    space = "FSL coordinates of the input image" if kind.space == "FSL" else kind.space
+    forms = (_form(fields, name, (*fields.NIFTI, *more)),)
+    return Convention(label, "positions" if kind.absolute else "displacements", space, "mm", forms)
 
 
-_FSL = "FSL coordinates of the input image"
 _BOTH = "positions or displacements"
 _LTA = _form(affines, "freesurfer", (".lta",))
-_AFNI = _field("afni", "AFNI", "displacements", "LPS", *fields.DATASETS)
+_AFNI = _field("afni", "AFNI", *fields.DATASETS)
 CONVENTIONS = {
     "itk": Convention(
         "ITK", "displacements", "LPS", "mm", (Form((*itk.TRANSFORMS, *itk.IMAGES), itk.read, itk.write),)
     ),
-    "fsl-relative": _field("fsl-relative", "FSL, relative", "displacements", _FSL),
-    "fsl-absolute": _field("fsl-absolute", "FSL, absolute", "positions", _FSL),
+    "fsl-relative": _field("fsl-relative", "FSL, relative"),
+    "fsl-absolute": _field("fsl-absolute", "FSL, absolute"),
     "fsl-affine": Convention(
         "FSL's FLIRT", "positions", "FSL coordinates of both images", "mm",
         (_form(affines, "fsl-affine", affines.SUFFIXES),), PUSH,
     ),
     "afni": _AFNI._replace(forms=(*_AFNI.forms, _form(affines, "afni", (".aff12.1d", ".1d")))),
-    "mrtrix": _field("mrtrix", "MRtrix, deformation", "positions", "RAS", *fields.MIF),
-    "mrtrix-displacement": _field(
-        "mrtrix-displacement", "MRtrix, displacement", "displacements", "RAS", *fields.MIF
-    ),
+    "mrtrix": _field("mrtrix", "MRtrix, deformation", *fields.MIF),
+    "mrtrix-displacement": _field("mrtrix-displacement", "MRtrix, displacement", *fields.MIF),
     "freesurfer": Convention(
         "FreeSurfer", _BOTH, "RAS", "mm",
         # warps are only read
         (_LTA, _form(fields, "freesurfer", (*fields.MGZ, *fields.MORPHS))._replace(write=_LTA.write)), PUSH,
         ("positions", "RAS", "mm"),
     ),
-    "niftyreg": _field("niftyreg", "NiftyReg", _BOTH, "RAS")._replace(written=("positions", "RAS", "mm")),
-    "spm-deformation": _field("spm-deformation", "SPM", "positions", "RAS"),
+    "niftyreg": _field("niftyreg", "NiftyReg")._replace(holds=_BOTH, written=("positions", "RAS", "mm")),
+    "spm-deformation": _field("spm-deformation", "SPM"),
     "ngff": Convention(
         "OME-Zarr", "displacements or positions", "LPS, or as its axes say", "mm, or as its axes say",
         (Form(ngff.SUFFIXES, ngff.read, ngff.write),), PULL, ("displacements", "LPS", "mm"),

@@ -262,8 +262,7 @@ def _mif(path: PathLike) -> tuple[Array, Grid]:
         dtype = np.dtype(f"{ {'le': '<', 'be': '>', None: '='}[kind[2]] }f{int(kind[1]) // 8}")
         # axes in the order of the file, the fastest last; then x, y, z and component, each forwards
         kept = sorted(range(4), key=lambda axis: -order[axis])
-        data = file.read(3 * x * y * z * dtype.itemsize)
-    whole = np.frombuffer(data, dtype).reshape([(x, y, z, count)[axis] for axis in kept])
+        whole = nifti.filled(path, file, dtype, [(x, y, z, count)[axis] for axis in kept], file.tell())
     whole = whole.transpose([kept.index(axis) for axis in (2, 1, 0, 3)])
     whole = whole[tuple(slice(None, None, -1 if layout[axis].startswith("-") else 1) for axis in (2, 1, 0, 3))]
     full[:3, :3] *= steps

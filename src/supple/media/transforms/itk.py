@@ -93,14 +93,14 @@ def _transforms(path: PathLike, suffix: str) -> tuple[base.Content, ...]:
             whole = sitk.ReadTransform(os.fspath(path))
         except KeyError as error:  # a kind that SimpleITK's table of kinds lacks
             raise unreadable(path, "SimpleITK does not know its kind of transform", "write it as affine") from error
-    return tuple(_contents(path, sitk, whole))
+    return tuple(_contents(path, whole))
 
 
 def contents_of(transform: Any) -> tuple[base.Content, ...]:
     """Return the matrices and fields of a transform of SimpleITK; SuppleError if it holds anything else."""
     if library_of(transform) != "SimpleITK" or not hasattr(transform, "TransformPoint"):
         refuse("path", "the name of a file, or a transform of SimpleITK", transform)
-    return tuple(_contents("the transform", itk.imported(), _kind_of(transform)))
+    return tuple(_contents("the transform", _kind_of(transform)))
 
 
 def transform_of(contents: Sequence[base.Content]) -> Any:
@@ -127,14 +127,15 @@ def _check_matlab(path: PathLike) -> None:
         raise unreadable(path, "it is cut short, or no file of ITK's on little-endian machines")
 
 
-def _contents(path: PathLike, sitk: Any, transform: Any) -> list[base.Content]:
+def _contents(path: PathLike, transform: Any) -> list[base.Content]:
+    sitk = itk.imported()
     # first: of a transform whose kind SimpleITK lacks, it makes a composite that holds itself
     if transform.IsLinear():
         return [base.check_matrix(path, _matrix(transform))]
     if isinstance(transform, sitk.CompositeTransform):
         made: list[base.Content] = []
         for i in reversed(range(transform.GetNumberOfTransforms())):  # it applies first what was added last
-            made += _contents(path, sitk, _kind_of(transform.GetNthTransform(i)))
+            made += _contents(path, _kind_of(transform.GetNthTransform(i)))
         return made
     interpolation: base.Interpolation
     if isinstance(transform, sitk.DisplacementFieldTransform):

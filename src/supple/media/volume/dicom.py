@@ -174,7 +174,7 @@ def read(path: PathLike, series: str | None = None, irregular: str | None = None
     """
     if irregular is not None:
         choice("irregular", irregular, ("resample",))
-    sitk, file = imported(), Path(path)
+    file = Path(path)
     if not file.is_dir():
         head_of(path, 1)
         reader = _reader(os.fspath(path))
@@ -185,10 +185,10 @@ def read(path: PathLike, series: str | None = None, irregular: str | None = None
                 raise unreadable(path, f"it is DICOM without a picture ({kind})", advice)
             reader = informed(path, "DICOM")  # which says why
         if reader.GetSize()[2:3] > (1,):
-            return _frames(path, sitk, reader, path, irregular)
+            return _frames(path, reader, path, irregular)
         found = listed(file.parent, nested=False)
-        return _stacked(path, sitk, _chosen(found, path, series or _tag(reader, _UID)), irregular)
-    return _stacked(path, sitk, _chosen(listed(file), path, series), irregular)
+        return _stacked(path, _chosen(found, path, series or _tag(reader, _UID)), irregular)
+    return _stacked(path, _chosen(listed(file), path, series), irregular)
 
 
 def _chosen(found: list[Series], path: PathLike, series: str | None) -> Series:
@@ -224,9 +224,9 @@ def _check_pixels(path: PathLike, reader: Any) -> None:
         check_spacing(path, steps)
 
 
-def _frames(path: PathLike, sitk: Any, reader: Any, file: PathLike, irregular: str | None) -> Volume:
+def _frames(path: PathLike, reader: Any, file: PathLike, irregular: str | None) -> Volume:
     """Read one file that holds all slices; ``path`` is for messages."""
-    check_voxels(path, sitk, reader)
+    check_voxels(path, reader)
     _check_pixels(path, reader)
     known, order, uneven = frames_of(file), None, None
     if known.places is None:
@@ -237,7 +237,7 @@ def _frames(path: PathLike, sitk: Any, reader: Any, file: PathLike, irregular: s
         order, step, direction, uneven = _ordered(path, names, *stack, irregular)
         geometry = located(path, [*known.spacing, step], known.places[order[0]].tolist(), direction, "LPS")
     with failing(path, "DICOM", tuple(reader.GetSize())):
-        samples = known.rescaled(sitk.GetArrayFromImage(reader.Execute()))
+        samples = known.rescaled(imported().GetArrayFromImage(reader.Execute()))
     if order is not None and (np.diff(order) != 1).any():
         samples = samples[order]
     scaling, name = _dose(path, reader), os.path.abspath(file)
@@ -272,15 +272,15 @@ def _narrowed(samples: Array, readers: list[Any]) -> Array:
     return samples.astype(np.int16) if known.min <= samples.min() and samples.max() <= known.max else samples
 
 
-def _stacked(path: PathLike, sitk: Any, series: Series, irregular: str | None) -> Volume:
-    readers, uneven = [], None
+def _stacked(path: PathLike, series: Series, irregular: str | None) -> Volume:
+    sitk, readers, uneven = imported(), [], None
     for name in series.paths:
         readers.append(informed(name, "DICOM"))
-        check_voxels(name, sitk, readers[-1])
+        check_voxels(name, readers[-1])
         _check_pixels(name, readers[-1])
     first = readers[0]
     if len(readers) == 1 and first.GetSize()[2:3] > (1,):
-        return _frames(path, sitk, first, series.paths[0], irregular)
+        return _frames(path, first, series.paths[0], irregular)
     for name, reader in zip(series.paths, readers, strict=True):
         if reader.GetSize()[2:3] > (1,):
             raise unreadable(path, f"{shown(Path(name).name)} is one of several files of many frames", "name that file")

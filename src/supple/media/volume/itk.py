@@ -81,7 +81,7 @@ def read(path: PathLike, *, header_only: bool = False) -> Volume:
     fields, end = _fields(path, form)
     data = _data_file(path, fields)
     reader = informed(path, form)
-    check_voxels(path, sitk, reader)
+    check_voxels(path, reader)
     sizes, ndim = tuple(reader.GetSize()), reader.GetDimension()
     series, components = ndim == 4, reader.GetNumberOfComponents()
     if ndim > 4 or (series and components > 1):
@@ -93,7 +93,7 @@ def read(path: PathLike, *, header_only: bool = False) -> Volume:
     told = {key: reader.GetMetaData(key) for key in reader.GetMetaDataKeys() if not _OWN.match(key)}
     # SimpleITK has no type for matrices, such as NRRD's measurement frame
     header = {key: text for key, text in told.items() if not text.startswith("[UNKNOWN")}
-    kind = _kind(sitk, reader)
+    kind = _kind(reader)
     letter = "f" if "float" in kind else "u" if "unsigned" in kind else "i"
     dtype = np.dtype(f"{letter}{int(re.findall(r'([0-9]+)-bit', kind)[0]) // 8}")
     shape = (*([1] if ndim < 3 else []), *sizes[::-1], *([components] if components > 1 else []))
@@ -128,15 +128,15 @@ def _scaling(path: PathLike, fields: dict[str, str]) -> tuple[float, float]:
     return slope, intercept
 
 
-def check_voxels(path: PathLike, sitk: Any, reader: Any) -> None:
+def check_voxels(path: PathLike, reader: Any) -> None:
     """Raise SuppleError for voxels that are not real numbers."""
-    kind = _kind(sitk, reader)
+    kind = _kind(reader)
     if "integer" not in kind and (kind.startswith("complex") or "float" not in kind):
         raise unreadable(path, f"its voxels are {kind}", f"convert them to one of {', '.join(DTYPES)}")
 
 
-def _kind(sitk: Any, reader: Any) -> str:
-    return str(sitk.GetPixelIDValueAsString(reader.GetPixelID()))
+def _kind(reader: Any) -> str:
+    return str(imported().GetPixelIDValueAsString(reader.GetPixelID()))
 
 
 def _fields(path: PathLike, form: str) -> tuple[dict[str, str], int]:

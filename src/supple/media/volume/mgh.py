@@ -10,8 +10,8 @@ import numpy as np
 
 from supple.errors import need, shown
 from supple.media.files import PathLike, replacing, unreadable, unwritable
-from supple.media.volume.data import TO_RAS, Array, Volume, native, placed, reading, too_large
-from supple.media.volume.nifti import opened, writing
+from supple.media.volume.data import TO_RAS, Array, Volume, native, placed, reading
+from supple.media.volume.nifti import filled, opened, writing
 
 _START, _FOOTER = 284, 20  # bytes before the voxels, and of the parameters of the scan behind them
 _TYPES = ("uint8", "int16", "int32", "float32")
@@ -43,18 +43,10 @@ def read(path: PathLike, *, header_only: bool = False) -> Volume:
         )  # fmt: skip
         if header_only:
             return outline
-        wanted = int(np.prod(sizes)) * dtype.itemsize
-        try:
-            data = file.read(wanted)
-        except (MemoryError, OverflowError) as error:
-            raise too_large(path, tuple(sizes[:3])) from error
-        if len(data) < wanted:
-            found = f"its header promises {wanted} bytes of voxels, and it has {len(data)}"
-            raise unreadable(path, found)
+        samples = native(filled(path, file, dtype, shape, _START))
         footer, tags = file.read(_FOOTER), file.read()
     whole = kind.MGHHeader(start[: header.template_dtype.itemsize - _FOOTER] + footer, check=False)
     seconds = float(whole["tr"]) / 1e3
-    samples = native(np.frombuffer(data, dtype).reshape(shape))
     return replace(outline, samples=samples, header=(whole, tags), interval=seconds if 0 < seconds < np.inf else 1.0)
 
 

@@ -8,7 +8,7 @@ import math
 import os
 import sys
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import IO, Any, cast
@@ -182,7 +182,6 @@ def _dtype(path: PathLike, header: Any) -> np.dtype[Any]:
 
 
 def _samples(path: PathLike, shape: tuple[int, ...], dtype: np.dtype[Any], offset: int, *, colours: bool) -> Array:
-    sizes = tuple(reversed(shape[:3]))
     wanted = offset + dtype.itemsize * math.prod(shape)
     row = dtype.itemsize * (math.prod(shape[-2:]) if colours else shape[-1])
     with opened(path) as file:
@@ -192,22 +191,27 @@ def _samples(path: PathLike, shape: tuple[int, ...], dtype: np.dtype[Any], offse
                 raise unreadable(path, f"its header promises {wanted} bytes, and it has {found}")
             _check_rest(path, wanted, found - wanted, row)
             return np.memmap(path, dtype, "r", offset, shape)
-        try:
-            samples = np.empty(shape, dtype)
-        except (MemoryError, ValueError) as error:
-            raise too_large(path, sizes) from error
         file.seek(offset)
-        flat, done = memoryview(samples.reshape(-1).view(np.uint8)), 0
-        while done < len(flat):
-            count = file.readinto(flat[done : done + _CHUNK])
-            if not count:
-                raise unreadable(path, f"its header promises {wanted} bytes, and it has {offset + done}")
-            done += count
-        rest = 0
+        samples, rest = filled(path, file, dtype, shape, offset), 0
         while count := len(file.read(_CHUNK)):  # to the end, for the checksum
             rest += count
         _check_rest(path, wanted, rest, row)
         return samples
+
+
+def filled(path: PathLike, file: IO[bytes], dtype: np.dtype[Any], shape: Sequence[int], offset: int) -> Array:
+    """Return the voxels that follow in a file, of which so many bytes are read; SuppleError if it ends before."""
+    try:
+        samples = np.empty(shape, dtype)
+    except (MemoryError, ValueError) as error:
+        raise too_large(path, tuple(shape[::-1])) from error
+    flat, done = memoryview(samples.reshape(-1).view(np.uint8)), 0
+    while done < len(flat):
+        count = file.readinto(flat[done : done + _CHUNK])  # type: ignore[attr-defined]
+        if not count:
+            raise unreadable(path, f"its header promises {offset + len(flat)} bytes, and it has {offset + done}")
+        done += count
+    return samples
 
 
 # nibabel takes what is left for nothing (test_sizes_smaller_than_the_data).
