@@ -53,8 +53,8 @@ FILES: list[tuple[str, str | None, str]] = [
     ("flow.npy", None, "it is not always a map of positions, as of OpenCV's: give "),
     ("gone.jpg", None, "No such file or directory"),
     ("in.png", None, "it is not always an STMap: give "),
-    ("photo.jpg", None, "the suffix .jpg tells no convention"),
-    ("clip.mp4", None, "the suffix .mp4 tells no convention"),
+    ("photo.jpg", None, "the suffix .jpg is of a picture, and of no field"),
+    ("clip.mp4", None, "the suffix .mp4 is of a clip, and of no field"),
     ("folder", "itk", "a name without suffix is of no transform of ITK"),
     ("gone.nii", None, "No such file or directory"),
 ]

@@ -131,6 +131,8 @@ REFUSED: list[tuple[str, Callable[[Path], object], str | None, list[str]]] = [
     ("a.npz", lambda p: np.savez(p, NOISE[0, ..., :2]), None, ["give convention='opencv'"]),
     ("a.png", lambda p: p.write_bytes(b"x"), None, ["give convention='stmap'"]),
     ("a.tif", lambda p: p.write_bytes(b"x"), None, ["give convention='stmap'"]),
+    ("a.jpg", lambda p: p.write_bytes(b"x"), None, ["of a picture, and of no field"]),
+    ("a.mp4", lambda p: p.write_bytes(b"x"), None, ["of a clip, and of no field"]),
     ("a.tif", lambda p: None, None, ["No such file"]),
     ("a.foo", lambda p: None, None, ["No such file"]),
 ]
