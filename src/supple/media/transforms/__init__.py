@@ -157,6 +157,9 @@ def _candidates(path: PathLike, verb: str) -> tuple[str, ...]:
         raise refused(
             path, f"it is not always {_DOUBTFUL[suffix]}", f"give {argument('convention', names[0])} if it is"
         )
+    if not names and (suffix in CLIPS or suffix in PICTURES):
+        what = f"the suffix {suffix} is of a {'clip' if suffix in CLIPS else 'picture'}, and of no field"
+        raise refused(path, what, "name a file of a field or of an affine map")
     if not names:
         found = f"the suffix {shown(suffix)}" if suffix else "a name without suffix"
         raise refused(path, f"{found} tells no convention", "give the convention, or another name")
