@@ -140,6 +140,7 @@ def part_of(
     polygons: Runs = NO_RUNS,
     lines: Runs = NO_RUNS,
     strips: Runs = NO_RUNS,
+    *,
     colour: tuple[float, float, float] | None = None,
 ) -> Part:
     """Return a part of a mesh of ``count`` vertices; ValueError if one has another index.
