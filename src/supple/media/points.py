@@ -74,7 +74,6 @@ class PointFile:
         return made
 
 
-_BOX = np.concatenate([np.zeros((1, 3)), np.eye(3) / 2, np.eye(3) / -2])  # its centre, and those of its faces
 # What follows from the control points of a plane; and its size, if it is automatic.
 _OF_PLANES = ("center", "origin", "normal", "orientation", "baseToNode", "baseToNodeMatrix")
 _SIZES = ("size", "planeBounds")
@@ -82,7 +81,7 @@ _SIZES = ("size", "planeBounds")
 
 @dataclass(frozen=True, slots=True)
 class _Markups:
-    """A ``.mrk.json`` and its placed points: (markup, control point or -1 of a box, whether x and y are flipped)."""
+    """A ``.mrk.json`` and its placed points: (markup, control point, whether x and y are flipped)."""
 
     data: dict[str, Any]
     places: tuple[tuple[int, int, bool], ...]
@@ -105,10 +104,9 @@ def read_points(path: PathLike, *, mesh: bool = False, series: Volume | None = N
     Without a header, the first three columns of numbers are the coordinates, or both where there are two. Comments
     begin with #.
 
-    Of a .mrk.json, these are the control points of all markups that are placed, in the convention of the first; with
-    ``mesh``, a region (ROI) has seven points more, its centre and those of its faces. ``series`` is what a structure
-    set of DICOM refers to when its points are written. SuppleError, with the line, for a file that is damaged or holds
-    no points.
+    Of a .mrk.json, these are the control points of all markups that are placed, in the convention of the first.
+    ``series`` is what a structure set of DICOM refers to when its points are written. SuppleError, with the line, for a
+    file that is damaged or holds no points.
     """
     name, kind = shown(path), _kind("read", path, mesh=mesh)
     if kind in meshes.KINDS.values():
@@ -118,7 +116,7 @@ def read_points(path: PathLike, *, mesh: bool = False, series: Volume | None = N
         return PointFile(found.points, said or "index", none, name, kind, found, told, found.normals, found.at)
     text = _text(path)
     if kind == "JSON":
-        return _from_json(name, text, mesh)
+        return _from_json(name, text)
     table, points, convention, labels, told = parsed(name, text, fcsv=kind == "fcsv")
     return PointFile(points, convention, labels, name, kind, table, told)
 
@@ -134,9 +132,9 @@ def write_points(
 ) -> None:
     """Write points into a copy of the file that they came from; it appears whole or not at all.
 
-    All other contents are kept, and so is the text of unchanged coordinates. A region (ROI) becomes the box that fits
-    the centres of its faces best. What Slicer measures (lengths, angles) is left out of a markup that moves, and so is
-    what it derives from the points of a plane.
+    All other contents are kept, and so is the text of unchanged coordinates. What Slicer measures (lengths, angles) is
+    left out of a markup that moves, and so is what it derives from the points of a plane. A region (ROI), and a plane
+    of a point and a normal, are refused where they move.
 
     The suffix, and the shape and convention of the points, are those of ``like``. ``notes``, a name and
     a number for each point, become the last column of a CSV, or the one of that name; ``normals`` are those of a mesh,
@@ -173,7 +171,7 @@ def _text(path: PathLike) -> str:
     return data.decode("utf-8", "surrogateescape")  # so that labels in other encodings are kept
 
 
-def _from_json(name: str, text: str, boxes: bool) -> PointFile:
+def _from_json(name: str, text: str) -> PointFile:
     where = ""
 
     def refused(error: Exception) -> SuppleError:
@@ -190,87 +188,48 @@ def _from_json(name: str, text: str, boxes: bool) -> PointFile:
             convention, unit = markup.get("coordinateSystem", "LPS"), markup.get("coordinateUnits", "mm")
             if convention not in ("LPS", "RAS") or "mm" not in (unit, *unit[:1]):
                 raise ValueError(f"coordinates in {value_shown(convention)}, {value_shown(unit)}, not LPS or RAS in mm")
-            placed = [
-                (k, control)
-                for k, control in enumerate(markup["controlPoints"])
-                if control.get("positionStatus", "defined") == "defined"
-            ]
-            found = [(k, _numbers(one["position"]), str(one.get("label") or "")) for k, one in placed]
-            if boxes and markup.get("type") == "ROI" and "size" in markup:
-                found += [(-1, corner, "") for corner in _box(markup)]
-            for k, point, label in found:
-                first = first or convention
-                flipped = convention != first
-                places.append((m, k, flipped))
-                points.append(point * FLIP if flipped else point)
-                labels.append(label)
+            for k, control in enumerate(markup["controlPoints"]):
+                if control.get("positionStatus", "defined") == "defined":
+                    point, first = _numbers(control["position"]), first or convention
+                    flipped = convention != first
+                    places.append((m, k, flipped))
+                    points.append(point * FLIP if flipped else point)
+                    labels.append(str(control.get("label") or ""))
     if not points:
         raise unreadable(name, "it holds no points that are placed", "place some")
     return PointFile(np.array(points), first, tuple(labels), name, "JSON", _Markups(data, tuple(places), text))
 
 
-def _numbers(value: object, count: int = 3) -> Floats:
+def _numbers(value: object) -> Floats:
     made = np.array(value, np.float64)
-    if made.shape != (count,) or not (np.abs(made) <= LARGEST).all():
-        raise ValueError(f"{value_shown(value)} is not {count} numbers from {-LARGEST:g} to {LARGEST:g}")
+    if made.shape != (3,) or not (np.abs(made) <= LARGEST).all():
+        raise ValueError(f"{value_shown(value)} is not three numbers from {-LARGEST:g} to {LARGEST:g}")
     return made
 
 
-def _box(markup: dict[str, Any]) -> Floats:
-    """Return the centre of a region, and those of its faces, (7, 3); ValueError if a number is missing."""
-    centre, size = (_numbers(markup.get(key)) for key in ("center", "size"))
-    turn = _numbers(markup.get("orientation", np.eye(3).ravel().tolist()), 9)
-    return np.asarray(centre + _BOX * size @ turn.reshape(3, 3).T)
-
-
-def _set_box(markup: dict[str, Any], new: Floats, old: Floats) -> None:
-    """Set the box of a region: that which fits the new centres of its faces best, or bounds its control points."""
-    turn = (old[1:4] - old[4:]).T
-    before = np.linalg.norm(turn, axis=0)
-    turn = np.divide(turn, before, out=np.reshape(markup.get("orientation", np.eye(3)), (3, 3)) + 0.0, where=before > 0)
-    if markup.get("roiType") == "BoundingBox":
-        controls = markup["controlPoints"]
-        placed = [c["position"] for c in controls if c.get("positionStatus", "defined") == "defined"]
-        low, high = (end(np.array(placed or new[:1]) @ turn, axis=0) for end in (np.min, np.max))
-        centre, size = turn @ (low + high) / 2, high - low
-    else:
-        edges = (new[1:4] - new[4:]).T
-        centre, size = new[0], np.linalg.norm(edges, axis=0)
-        left, _, right = np.linalg.svd(np.divide(edges, size, out=turn, where=size > 0))
-        turn = left @ right
-    markup["center"], markup["size"], markup["orientation"] = centre.tolist(), size.tolist(), turn.ravel().tolist()
-
-
 def _drop_measured(markup: dict[str, Any], m: int, name: str) -> None:
-    """Leave out what Slicer computes from control points that have moved; SuppleError for a plane that has only one."""
+    """Leave out what Slicer computes from control points that moved; SuppleError for what has more than these."""
     for measured in markup.get("measurements") or ():
         for key in ("value", "controlPointValues") if isinstance(measured, dict) else ():
             measured.pop(key, None)
+    told = "a region (ROI): mark its corners by points" if markup.get("type") == "ROI" and "size" in markup else ""
     if markup.get("type") == "Plane":
-        few = len(markup["controlPoints"]) < 3
-        if few or markup.get("planeType") == "pointNormal":
-            told = f"cannot move {name}: markup {m + 1} is a Plane of a point and a normal"
-            raise SuppleError(f"{told}: make it one of three points in 3D Slicer, or leave it out")
+        if len(markup["controlPoints"]) < 3 or markup.get("planeType") == "pointNormal":
+            told = "a Plane of a point and a normal: make it one of three points"
         for key in (*_OF_PLANES, *(_SIZES if markup.get("sizeMode", "auto") == "auto" else ())):
             markup.pop(key, None)
+    if told:
+        raise SuppleError(f"cannot move {name}: markup {m + 1} is {told} in 3D Slicer, or leave it out")
 
 
 def _to_json(markups: _Markups, points: Floats, before: Floats, name: str) -> str:
     data = copy.deepcopy(markups.data)
-    boxes: dict[int, list[tuple[Floats, Floats]]] = {}
     for (m, k, flipped), new, old in zip(markups.places, points, before, strict=True):
         signs, markup = FLIP if flipped else np.ones(3), data["markups"][m]
-        if k < 0:
-            boxes.setdefault(m, []).append((new * signs, old * signs))
-        else:
-            for i in np.flatnonzero(new != old):
-                markup["controlPoints"][k]["position"][i] = float(new[i] * signs[i])
+        for i in np.flatnonzero(new != old):
+            markup["controlPoints"][k]["position"][i] = float(new[i] * signs[i])
         if (new != old).any():
             _drop_measured(markup, m, name)
-    for m, moved in boxes.items():
-        ends, starts = (np.array(each) for each in zip(*moved, strict=True))
-        if (ends != starts).any():
-            _set_box(data["markups"][m], ends, starts)
     text = markups.text
     step = re.match(r"\ufeff?\s*\{\r?\n([ \t]+)", text)
     made = json.dumps(data, indent=step[1] if step else 4, ensure_ascii=text.isascii())
