@@ -205,7 +205,7 @@ def filled(path: PathLike, file: IO[bytes], dtype: np.dtype[Any], shape: Sequenc
         samples = np.empty(shape, dtype)
     except (MemoryError, ValueError) as error:
         raise too_large(path, tuple(shape[::-1])) from error
-    flat, done = memoryview(samples.reshape(-1).view(np.uint8)), 0
+    flat, done = memoryview(cast("Any", samples.reshape(-1).view(np.uint8))), 0
     while done < len(flat):
         count = file.readinto(flat[done : done + _CHUNK])  # type: ignore[attr-defined]
         if not count:
