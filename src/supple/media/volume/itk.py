@@ -18,7 +18,6 @@ import numpy as np
 
 from supple.errors import need, shown
 from supple.media.files import PathLike, check_output, head_of, replacing, unreadable, unwritable
-from supple.media.suffixes import FORMATS, suffix_of
 from supple.media.volume.data import DTYPES, Array, Volume, check_spacing, located, native, reading, too_large
 from supple.media.volume.raw import count_bytes
 from supple.space.geometry import Geometry
@@ -74,7 +73,7 @@ def read(path: PathLike, *, header_only: bool = False) -> Volume:
     With ``header_only``, samples take no memory, and are 0. SuppleError if it is missing, of another kind, damaged or
     cut short; if its voxels are not real numbers; or if it has more axes than x, y, z and time.
     """
-    sitk, form = imported(), FORMATS[suffix_of(path)]
+    sitk, form = imported(), "NRRD" if Path(path).suffix.lower() in (".nrrd", ".nhdr") else "MetaImage"
     head = head_of(path, 4)
     if form == "NRRD" and head != b"NRRD":
         raise unreadable(path, "it is no NRRD file", "check its name")
