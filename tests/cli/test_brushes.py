@@ -193,10 +193,10 @@ def test_a_pull_of_a_volume_goes_by_what_its_tables_say(head: Run, options: list
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (["--pull", "a-plain.csv:b-plain.csv"], "cannot place a-plain.csv: no header says what its numbers are: give"),
+        (["--pull", "a-plain.csv:b-plain.csv"], "cannot place a-plain.csv: it does not say what its numbers are: give"),
         (
             ["--pull", "a-LPS-xyz.csv:b-LPS-xyz.csv", "--world"],
-            "its columns are not said to be LPS or RAS: give --convention LPS or RAS, or name its columns l,p,s",
+            "it does not say what its numbers are: give --convention LPS or RAS (millimetres)",
         ),
         (["--pull", "a-ijk.csv:b-ijk.csv", "--world"], "a-ijk.csv is in voxels, and --world is for points in"),
         (["--pull", "a-ijk.csv:b-LPS.csv"], "b-LPS.csv is in millimetres, and a-ijk.csv in voxels: give both in one"),
@@ -246,7 +246,7 @@ def test_other_commands_take_the_convention_of_a_pull(head: Run) -> None:
         ("render", "head.nii", "out.png", "--size", "32x32"),
     ):
         status, _, err = head(*command, *pull)
-        assert (status, "no header says what its numbers are" in err) == (2, True)
+        assert (status, "does not say what its numbers are" in err) == (2, True)
         status, _, err = head(*command, *pull, "--convention", "index")
         assert status == 0, err
     np.testing.assert_allclose(np.loadtxt("moved.csv", delimiter=",")[:, :3], AFTER, atol=1e-6)

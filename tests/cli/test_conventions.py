@@ -165,7 +165,7 @@ MISSING: list[tuple[str, str]] = [
     ("compose a.mat --source moving.nii.gz --out b.mha", OUTPUT + "give its grid as --reference"),
     (
         "compose u.mha a.mat --source moving.nii.gz --out b.mha --reference fixed.nii.gz",
-        OUTPUT + "give --source of u.mha, which leads to it",
+        OUTPUT + "convert it by itself first (supple convert)",
     ),
     (
         "compose a.mat --inverse --source moving.nii.gz --out b.mha --reference fixed.nii.gz",

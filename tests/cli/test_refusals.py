@@ -381,7 +381,7 @@ REFUSED: dict[str, list[tuple[str, str]]] = {
         ("check u.nii --map u.nii --force", "u.nii is read: --force does not replace it, so choose another name"),
         ("compose --inverse u.nii --out v.mha", "--inverse is about the file before it, and there is none"),
         ("check u.nii --convention mrtrix", "its intent code is 1007"),
-        ("check u.mha --convention fsl-relative --source head.nii", "no NIfTI file, and those of the convention"),
+        ("check u.mha --convention fsl-relative --source head.nii", "it is no NIfTI file"),
         ("check both.h5", "both.h5 holds an affine map and a field, and not one field: supple compose makes one field"),
         ("check u.nii --map j.mhd", "j.mhd: its data would be in a second file: use .mha"),
         ("check u.nii --picture p.jpg", "a plot's name must end in .png, .svg, .pdf"),

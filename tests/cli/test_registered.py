@@ -112,7 +112,7 @@ def test_points_of_every_kind_go_where_itk_takes_them(run: Run, registered: sitk
 
 
 @pytest.mark.parametrize("name", ["binary.stl", "text.ply", "binary.vtk", "text.vtk", "Ascii-ZLib.vtp", "raw.vtp"])
-def test_meshes_follow_and_those_of_vtk_note_their_errors(run: Run, registered: sitk.Transform, name: str) -> None:
+def test_meshes_follow(run: Run, registered: sitk.Transform, name: str) -> None:
     centre = placed().mean(axis=0) * FLIP
     source = made.write(Path(name), made.surface(tuple(centre.tolist()), 8))
     for target in (f"there{source.suffix}", f"again{source.suffix}"):
@@ -123,16 +123,8 @@ def test_meshes_follow_and_those_of_vtk_note_their_errors(run: Run, registered: 
     theirs = through(registered, made.points(before) * FLIP) * FLIP
     np.testing.assert_allclose(made.points(after), theirs, rtol=0, atol=1e-5)
     assert made.faces(after) == made.faces(before)
-    if source.suffix in (".vtk", ".vtp"):
-        errors = json.loads(out)["error"]
-        np.testing.assert_allclose(made.arrays(after)["point error_mm"], errors, rtol=0.01)
-        assert {k: v for k, v in made.arrays(after).items() if k != "point error_mm"} == made.arrays(before)
-        assert after.GetPointData().GetScalars() is None or before.GetPointData().GetScalars() is not None
-        status, _, err = run("points", target, f"back{source.suffix}", *ON, *CHAIN)
-        assert status == 0, err
-        back = made.read(Path(f"back{source.suffix}"))
-        np.testing.assert_allclose(made.points(back), made.points(before), rtol=0, atol=1e-5)
-        assert sum(key == "point error_mm" for key in made.arrays(back)) == 1
+    assert made.arrays(after) == made.arrays(before)
+    assert max(json.loads(out)["error"]) < 1e-5
 
 
 def test_contours_follow(run: Run, registered: sitk.Transform) -> None:

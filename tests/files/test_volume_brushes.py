@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,9 +11,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from supple import Deformation, Recipe, Stroke
-from supple.cli import command
 from supple.files.volumes import indexed, placed
-from supple.media import volume
 from supple.space.geometry import Floats, Geometry
 from supple.strokes import matrix_of
 
@@ -86,21 +82,3 @@ def test_strokes_go_to_millimetres_and_back(geometry: Geometry) -> None:
             np.testing.assert_allclose(
                 matrix_of(after, geometry.spacing), matrix_of(before, geometry.spacing), atol=1e-12
             )
-
-
-def test_the_same_twist_of_two_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A volume, and the same with its rows in the other order, give the same picture of space."""
-    monkeypatch.chdir(tmp_path)
-    samples = np.random.default_rng(3).uniform(0, 200, SHAPE).astype(np.float32)
-    volume.write("one.nii", samples, volume.Volume(samples, OBLIQUE))
-    origin = tuple(OBLIQUE.to_lps((0, SHAPE[1] - 1, 0)).tolist())
-    turned = np.ascontiguousarray(samples[:, ::-1])
-    volume.write("two.nii", turned, volume.Volume(turned, replace(FLIPPED, origin=origin)))
-    at = ",".join(f"{x:.6f}" for x in OBLIQUE.to_world(PIVOT, "RAS"))
-    for name, options in itertools.product(("one", "two"), ([], ["--border", "none"])):
-        strokes = ["--twist", f"{at}:30:1,1,0", "--pinch", f"{at}:0.8:0,1,0", "--scale", f"{at}:1.2", "--radius", "8"]
-        assert command(["warp", f"{name}.nii", f"{name}-out.nii", *strokes, "--world", "--force", *options]) == 0
-        if name == "two":
-            one, two = (volume.read(f"{n}-out.nii").samples for n in ("one", "two"))
-            assert np.abs(one - samples).max() > 20
-            np.testing.assert_allclose(two[:, ::-1], one, atol=2)  # 0.01 voxels of noise

@@ -485,15 +485,6 @@ def test_what_is_oblique_is_said(here: Path, capfd: pytest.CaptureFixture[str]) 
     assert "oblique" not in straight
 
 
-def test_a_folder_of_volumes(here: Path) -> None:
-    Path("scans").mkdir()
-    for k in range(2):
-        stored(f"scans/{k}.nii.gz", made(seed=k))
-    assert command(["warp", "scans", "bent", *GRAB, "--filter", "linear", "--quiet"]) == 0
-    assert sorted(p.name for p in Path("bent").iterdir()) == ["0.nii.gz", "1.nii.gz"]
-    assert np.abs(media.read("bent/1.nii.gz").samples - truth(made(seed=1))).max() <= OFF + 0.5
-
-
 def test_a_field_is_left_only_with_its_volume(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     stored("in.nii", made())
     monkeypatch.setattr(volumes, "write", _full)
@@ -504,12 +495,6 @@ def test_a_field_is_left_only_with_its_volume(here: Path, monkeypatch: pytest.Mo
     monkeypatch.chdir(here)
     warp_volume("in.nii", "out.nii", RECIPE, options=VolumeOptions(save_field="f.nii"))
     assert sorted(p.name for p in here.iterdir()) == ["f.nii", "in.nii", "out.nii"]
-
-
-def test_a_filter_of_no_kind_is_refused(here: Path) -> None:
-    stored("in.nii", made())
-    with pytest.raises(supple.SuppleError, match=r"filter must be .*, found \['auto'\]"):
-        warp_volume("in.nii", "out.nii", RECIPE, filter=["auto"])  # type: ignore[arg-type]
 
 
 def test_an_interrupt_leaves_nothing(here: Path) -> None:

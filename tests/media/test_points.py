@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -56,47 +55,6 @@ class TestSlicersMarkups:
         two["controlPoints"][0]["position"] = [7.0, 8.25, 9.5]
         assert found == json.loads(markups(one, two))
 
-    @pytest.mark.parametrize("system", ["LPS", "RAS"])
-    def test_regions_move_as_a_whole(self, tmp_path: Path, system: str) -> None:
-        angle = np.radians(20)
-        turn = np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]])
-        first, centre, size = markup(np.array([[1.0, 1.0, 1.0]])), np.array([10.0, -20.0, 30.0]), [4.0, 6.0, 8.0]
-        roi = markup(centre[None], system) | {"type": "ROI", "roiType": "Box", "insideOut": False}
-        roi |= {"center": centre.tolist(), "size": size, "orientation": turn.ravel().tolist()}
-        (tmp_path / "in.mrk.json").write_text(markups(first, roi))
-        assert len(read_points(tmp_path / "in.mrk.json").points) == 2
-        file = read_points(tmp_path / "in.mrk.json", mesh=True)
-        assert len(file.points) == 9
-        flip = np.array([-1, -1, 1]) if system == "RAS" else np.ones(3)  # the first markup is in LPS
-
-        def after(points: Any) -> dict[str, Any]:
-            made: dict[str, Any] = json.loads(rewritten(tmp_path, file, points))["markups"][1]
-            assert made["center"] == pytest.approx(made["controlPoints"][0]["position"])
-            return made
-
-        moved = after(file.points + np.array([3, 4, 5]))
-        assert moved["center"] == pytest.approx(centre + np.array([3, 4, 5]) * flip)
-        assert (moved["size"], moved["orientation"]) == (pytest.approx(size), pytest.approx(roi["orientation"]))
-        quarter = np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1]])  # about z, the same in both systems
-        moved = after(file.points @ (2 * quarter.T))
-        assert moved["center"] == pytest.approx(2 * quarter @ centre)
-        assert moved["size"] == pytest.approx([8, 12, 16])
-        np.testing.assert_allclose(np.reshape(moved["orientation"], (3, 3)), quarter @ turn, atol=1e-12)
-        assert json.loads(rewritten(tmp_path, file, file.points)) == json.loads(markups(first, roi))
-        roi["size"] = [4.0, "6", 8.0]
-        (tmp_path / "in.mrk.json").write_text(markups(first, roi))
-        assert "markup 2: its box is" in refused(read_points, tmp_path / "in.mrk.json", mesh=True)
-
-    def test_a_region_that_bounds_its_points(self, tmp_path: Path) -> None:
-        points = np.array([[0.0, 0.0, 0.0], [4.0, 2.0, 6.0], [1.0, 5.0, 3.0]])
-        roi = markup(points) | {"type": "ROI", "roiType": "BoundingBox", "center": [2.0, 2.5, 3.0]}
-        roi |= {"size": [4.0, 5.0, 6.0], "orientation": [-1.0, 0.0, 0.0, 0.0, -1.0, 0.0, 0.0, 0.0, 1.0]}
-        (tmp_path / "in.mrk.json").write_text(markups(roi))
-        file = read_points(tmp_path / "in.mrk.json", mesh=True)
-        made = json.loads(rewritten(tmp_path, file, file.points * 2 + [0, 1, 0]))["markups"][0]
-        assert (made["center"], made["size"]) == ([4, 6, 6], [8, 10, 12])
-        assert made["orientation"] == roi["orientation"]
-
     def test_what_is_derived_is_left_out(self, tmp_path: Path) -> None:
         points = np.array([[0.0, 0.0, 0.0], [3.0, 4.0, 0.0], [0.0, 9.0, 1.0]])
         length = {"name": "length", "enabled": True, "units": "mm", "value": 5.0, "printFormat": "%-#4.4g%s"}
@@ -113,6 +71,10 @@ class TestSlicersMarkups:
         assert json.loads(rewritten(tmp_path, file, file.points))["markups"][1]["normal"] == [0, 0, 1]
         told = refused(rewritten, tmp_path, file, file.points + 1)
         assert "markup 2 is a Plane of a point and a normal: make it one of three points" in told
+        region = markup(points[:1]) | {"type": "ROI", "center": [0.0, 0.0, 0.0], "size": [4.0, 6.0, 8.0]}
+        file = read(tmp_path, markups(region), "in.mrk.json")
+        assert json.loads(rewritten(tmp_path, file, file.points))["markups"] == [region]
+        assert "markup 1 is a region (ROI): mark its corners by" in refused(rewritten, tmp_path, file, file.points + 1)
 
     def test_the_layout_stays(self, tmp_path: Path) -> None:
         slicers = (
@@ -186,55 +148,29 @@ class TestWhatCannotBeRead:
     @pytest.mark.parametrize(
         ("text", "message"),
         [
-            ('{\n"markups": [}', "line 2: it is no whole JSON (Expecting value): save it from Slicer as .mrk.json"),
-            ("[" * 200_000, "it is JSON of a size or depth that nobody needs: save it from Slicer as .mrk.json"),
-            ("[1]", 'it has no list "markups": save it from Slicer as .mrk.json'),
+            ('{\n"markups": [}', "it is damaged, or no list of markups (Expecting value: line 2"),
+            ("[" * 200_000, "it is damaged, or no list of markups ("),
+            ("[1]", "it is damaged, or no list of markups ("),
             ('{"markups": []}', "it holds no points that are placed: place some"),
-            ('{"markups": [3]}', 'markup 1: it has no list "controlPoints": save it from Slicer as .mrk.json'),
-            (
-                f'{{"markups": [{{"controlPoints": [{POINT}]}}, {{"type": "Line"}}]}}',
-                'markup 2: it has no list "controlPoints": save it from Slicer as .mrk.json',
-            ),
-            (
-                '{"markups": [{"coordinateSystem": "XYZ", "controlPoints": []}]}',
-                'markup 1: its coordinateSystem is \'XYZ\': give "LPS" or "RAS"',
-            ),
-            (
-                '{"markups": [{"coordinateSystem": {}, "controlPoints": []}]}',
-                'markup 1: its coordinateSystem is {}: give "LPS" or "RAS"',
-            ),
-            (
-                '{"markups": [{"coordinateUnits": "m", "controlPoints": []}]}',
-                "markup 1: its coordinateUnits are 'm': give \"mm\"",
-            ),
             ('{"markups": [{"controlPoints": []}]}', "it holds no points that are placed: place some"),
-            (
-                '{"markups": [{"controlPoints": [7]}]}',
-                "markup 1, control point 1: it is 7: give an object with a position",
-            ),
-            (
-                f'{{"markups": [{{"controlPoints": [{POINT}, {{}}]}}]}}',
-                "markup 1, control point 2: no position: give three numbers from -1e+30 to 1e+30",
-            ),
+            ('{"markups": [3]}', "markup 1: it is damaged"),
+            (f'{{"markups": [{{"controlPoints": [{POINT}]}}, {{"type": "Line"}}]}}', "markup 2: it is damaged"),
+            ('{"markups": [{"coordinateSystem": "XYZ", "controlPoints": []}]}', "markup 1: it is damaged"),
+            ('{"markups": [{"coordinateSystem": {}, "controlPoints": []}]}', "markup 1: it is damaged"),
+            ('{"markups": [{"coordinateUnits": "m", "controlPoints": []}]}', "markup 1: it is damaged"),
+            ('{"markups": [{"controlPoints": [7]}]}', "markup 1: it is damaged"),
+            (f'{{"markups": [{{"controlPoints": [{POINT}, {{}}]}}]}}', "markup 1: it is damaged"),
             *(
-                (
-                    f'{{"markups": [{{"controlPoints": [{{"position": {bad}}}]}}]}}',
-                    f"markup 1, control point 1: its position is {said}: give three numbers from -1e+30 to 1e+30",
-                )
-                for bad, said in {
-                    "[1, 2]": "[1, 2]",
-                    "[1, NaN, 2]": "[1, nan, 2]",
-                    "[1, 2, Infinity]": "[1, 2, inf]",
-                    '[1, 2, "3"]': "[1, 2, '3']",
-                    "[1, true, 3]": "[1, True, 3]",
-                    "null": "None",
-                }.items()
+                (f'{{"markups": [{{"controlPoints": [{{"position": {bad}}}]}}]}}', "markup 1: it is damaged")
+                for bad in ("[1, 2]", "[1, NaN, 2]", "[1, 2, Infinity]", "null")
             ),
         ],
     )
     def test_slicers_markups(self, tmp_path: Path, text: str, message: str) -> None:
         (tmp_path / "in.mrk.json").write_text(text)
-        assert refused(read_points, tmp_path / "in.mrk.json") == f"cannot read {tmp_path}/in.mrk.json: {message}"
+        assert refused(read_points, tmp_path / "in.mrk.json").startswith(
+            f"cannot read {tmp_path}/in.mrk.json: {message}"
+        )
 
     def test_no_files(self, tmp_path: Path) -> None:
         (tmp_path / "folder.csv").mkdir()

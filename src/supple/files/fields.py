@@ -27,8 +27,8 @@ from supple.files.maps import (
     check_reference,
     check_written,
     convention_out,
-    grid_of,
     only_field,
+    optional_grid,
     read_file,
     write_image,
 )
@@ -151,8 +151,8 @@ def invert_file(
     check_images(error=error, status=status)
     if to is not None:
         transforms.check_convention(to, "to")
-    wanted = None if reference is None else grid_of(reference)
-    moving = None if image is None else grid_of(image)
+    wanted = optional_grid(reference)
+    moving = optional_grid(image)
     read = read_file(source, convention, source=moving, reference=wanted)
     check_reference(read, wanted, reference)
     known = to or read.convention
@@ -246,7 +246,7 @@ def check_file(
         from supple.plot.frame import check_plot
 
         check_plot(picture, force=force)
-    read = read_file(source, convention, source=None if image is None else grid_of(image))
+    read = read_file(source, convention, source=optional_grid(image))
     field = only_field(read)
     _warn_of_size(read.path, read.convention, image, read.grid)
     check_images(field.ndim, map=map)
@@ -286,13 +286,13 @@ def compose_files(
     began = time.perf_counter()
     if not inputs:
         raise SuppleError("there is nothing to compose: give files of fields or affine maps, the first first")
-    wanted = None if reference is None else grid_of(reference)
+    wanted = optional_grid(reference)
     with replacing_together([target], force=force) as (place,):
         read: list[MapFile] = []
         moving: list[Grid | None] = []
         here = wanted  # the grid of the image on the side of the output, as far as it is known
         for each in inputs:
-            there = None if each.source is None else grid_of(each.source)
+            there = optional_grid(each.source)
             source = there or (here if each.inverse else None)
             try:
                 file = read_file(each.path, each.convention, source=source, reference=None if each.inverse else here)
@@ -300,8 +300,6 @@ def compose_files(
                 if source is None or (not read and not each.inverse):
                     raise
                 advice = "convert it by itself first (supple convert)"
-                if not each.inverse and not read[-1].inverse:
-                    advice = f"give --source of {shown(read[-1].path)}, which leads to it"
                 raise SuppleError(f"{str(error).rpartition(': ')[0]}: {advice}") from None
             check_reference(file, wanted, reference)
             _warn_of_size(file.path, file.convention, source, file.grid)
@@ -323,11 +321,7 @@ def compose_files(
         made = compose(parts, grid)
         there = read[-1].grid if inputs[-1].inverse else moving[-1]
         _warn_of_size(target, known, there, grid)
-        try:
-            write_maps(place, (made,), known, source=there, reference=wanted)
-        except transforms.MissingGridError as error:
-            last = f"give the image that {shown(inputs[-1].path)} leads to, as its {argument('source')}"
-            raise SuppleError(f"{str(error).rpartition(': ')[0]}: {last}") from None
+        write_maps(place, (made,), known, source=there, reference=wanted)
     written = MapFile(Path(target), known, how, (made,), written=True)
     return Written(tuple(read), written, time.perf_counter() - began)
 
@@ -350,8 +344,8 @@ def convert_file(
     began = time.perf_counter()
     if to is not None:
         transforms.check_convention(to, "to")
-    moving = None if image is None else grid_of(image)
-    wanted = None if reference is None else grid_of(reference)
+    moving = optional_grid(image)
+    wanted = optional_grid(reference)
     with replacing_together([target], force=force) as (place,):
         read = read_file(source, convention, source=moving, reference=wanted)
         check_reference(read, wanted, reference)

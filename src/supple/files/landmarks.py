@@ -83,8 +83,7 @@ def move_points(
     source, target : str or os.PathLike
         Of one kind: .csv, .tsv, .txt; .fcsv; .mrk.json; or a mesh: .stl, .obj, .ply, .vtk (PolyData), .vtp; or
         contours, a structure set .dcm. All but the coordinates is kept; a table also gets a column ``error_mm``, or
-        ``error_px`` without a geometry, and VTK PolyData such an array of its points; normals of a mesh turn with its
-        surface.
+        ``error_px`` without a geometry; normals of a mesh turn with its surface.
     deformation : Deformation
         A deformation of an image, for which only x and y are mapped, of a clip, or of a volume.
     geometry : Geometry, optional
@@ -182,8 +181,7 @@ def _ways(deformation: Deformation, geometry: Geometry | None, known: str) -> tu
 def _series(path: PathLike, source: PathLike) -> Volume:
     """Return the DICOM series that contours are to refer to."""
     if Path(source).suffix.lower() != ".dcm":
-        text = f"{argument('refer_to')} is for structure sets of DICOM, and {shown(source)} is none: leave it out"
-        raise SuppleError(text)
+        raise SuppleError(f"{argument('refer_to')} is for structure sets of DICOM, and {shown(source)} is none")
     found = read_volume(path)
     if found.format != "DICOM":
         text = f"{argument('refer_to')} must be a series of DICOM, and {found.name} is {found.format}: give its folder"
@@ -315,21 +313,6 @@ def _listed(point: Iterable[float]) -> str:
     return f"({', '.join(f'{x:g}' for x in point)})"
 
 
-_UNSAID = {
-    "mesh": (
-        "nothing in it says LPS or RAS, as what 3D Slicer saves does",
-        "LPS or RAS (millimetres), or index (voxels from 0)",
-    ),
-    "mm": ("its columns are in mm, but not said to be LPS or RAS", "LPS or RAS, or name its columns l,p,s or r,a,s"),
-    "world": ("its columns are not said to be LPS or RAS", "LPS or RAS, or name its columns l,p,s or r,a,s"),
-    "": (
-        "no header says what its numbers are",
-        "index (voxels from 0), LPS or RAS (millimetres), or name its columns i,j,k, l,p,s or r,a,s",
-    ),
-}
-"""By `PointFile.told`: what a file does not say, and the conventions to give."""
-
-
 def convention_of(read: PointFile, asked: str | None, place: str | None) -> str:
     """Return the convention of the points of a file, for a volume of the convention ``place``; None without one."""
     if asked is not None:
@@ -343,9 +326,9 @@ def convention_of(read: PointFile, asked: str | None, place: str | None) -> str:
             warnings.warn(
                 f"{text}: {argument('convention')} LPS or RAS takes them for millimetres", VolumeWarning, stacklevel=4
             )
-        elif read.told in _UNSAID:
-            what, advice = _UNSAID[read.told]
-            raise SuppleError(f"cannot place {read.name}: {what}: give {argument('convention')} {advice}")
+        elif read.told != "said":
+            advice = "LPS or RAS (millimetres), or index (voxels from 0), or name columns l,p,s, r,a,s or i,j,k"
+            raise SuppleError(f"{refused} does not say what its numbers are: give {argument('convention')} {advice}")
     if known != "index" and place in (None, "array"):
         what = "only volumes have a place in space: give pixels in a table with x and y"
         if place is not None:

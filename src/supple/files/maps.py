@@ -115,6 +115,11 @@ def grid_of(path: PathLike | Any) -> Grid:
     return outline.grid
 
 
+def optional_grid(path: PathLike | None) -> Grid | None:
+    """Return the grid of an image, as `grid_of`, if one is given."""
+    return None if path is None else grid_of(path)
+
+
 def check_reference(read: MapFile, grid: Grid | None, path: PathLike | None) -> None:
     """Raise SuppleError for the grid of a reference that has another number of axes than the maps."""
     if grid is not None and path is not None and any(each.ndim != grid.ndim for each in read.maps):

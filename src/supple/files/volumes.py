@@ -231,7 +231,7 @@ def warp(job: Job, tell: Tell) -> Warped:
     _warn_of_gaps(volume, sampling.filter)
     mixed = not deformation.is_identity or not (regrid is None or regrid.uncropped().is_same_space(volume.grid))
     if not sampling.keeps_values and mixed:
-        _warn_of_labels(volume)
+        warn_of_labels(_looked_at(volume), volume.name, known=volume.is_segmentation)
     with contextlib.ExitStack() as stack:
         if known.save_field is not None:
             # It is renamed together with the volume: if either cannot be written, neither is.
@@ -306,10 +306,8 @@ def _warn_of_gaps(volume: Volume, filter: str) -> None:
         return
     gaps = sum(int(np.count_nonzero(~np.isfinite(slab))) for slab in volume.samples)
     if gaps:
-        text = (
-            f"{gaps} voxels of {volume.name} are NaN or infinite, and so is each voxel that is interpolated from them: "
-        )
-        text += 'filter "nearest" keeps them as they are, and "linear" spreads them least'
+        text = f"{gaps} voxels of {volume.name} are NaN or infinite, and so is each voxel that is interpolated from "
+        text += 'them: filter "nearest" keeps them as they are, and "linear" spreads them least'
         warnings.warn(text, GapWarning, stacklevel=4)
 
 
@@ -323,18 +321,9 @@ def _first_fraction(samples: Array) -> float | None:
     return None
 
 
-def _warn_of_labels(volume: Volume) -> None:
-    """Warn of interpolated labels, if a volume is a segmentation, or looks like a label map."""
-    if volume.is_segmentation:
-        warn_of_labels(volume.samples, volume.name, known=True)
-    elif (some := _looked_at(volume)) is not None:
-        warn_of_labels(some, volume.name)
-
-
 def is_of_labels(volume: Volume) -> bool:
     """Return whether a volume looks like a label map: few integers in large areas."""
-    some = _looked_at(volume)
-    return some is not None and _is_of_labels(some)
+    return _is_of_labels(_looked_at(volume))
 
 
 def _looked_at(volume: Volume) -> Array | None:
@@ -344,19 +333,21 @@ def _looked_at(volume: Volume) -> Array | None:
     return np.asarray(samples[:: -(-len(samples) // _LOOKED_AT)])
 
 
-def warn_of_labels(some: Array, name: str, *, known: bool = False) -> None:
+def warn_of_labels(some: Array | None, name: str, *, known: bool = False) -> None:
     """Warn of interpolated labels, if samples (Z, H, W) look like those of a label map: few integers in large areas.
 
     With ``known``, they are a label map.
     """
     if not (known or _is_of_labels(some)):
         return
-    told = "is a label map" if known else f"looks like a label map, of {len(np.unique(some))} values"
+    told = "is a label map" if known or some is None else f"looks like a label map, of {len(np.unique(some))} values"
     text = f"{name} {told}, and its labels are mixed where they meet: {argument('labels', True)} keeps them"
     warnings.warn(text, VolumeWarning, stacklevel=4)
 
 
-def _is_of_labels(some: Array) -> bool:
+def _is_of_labels(some: Array | None) -> bool:
+    if some is None:
+        return False
     left, right = some[..., :-1], some[..., 1:]
     seen = (left != some.flat[0]) | (right != some.flat[0])  # the first voxel is taken as background
     same = left == right

@@ -9,12 +9,11 @@ import numpy as np
 
 from supple.errors import SuppleError
 from supple.media.volume import itk, nifti
-from supple.media.volume.data import Array, Volume, native, placed, rescaled_dtype
+from supple.media.volume.data import TO_RAS, Array, Volume, native, placed, rescaled_dtype
 from supple.space.checks import library_of
 from supple.space.geometry import Geometry, Grid
 
 _UNITS = {"meter": 1000.0, "micron": 0.001}  # of NIfTI, in millimetres
-_TO_RAS = np.diag([-1.0, -1.0, 1.0, 1.0])  # from LPS
 _NAME = "the image"
 
 
@@ -44,7 +43,7 @@ def _of_itk(image: Any) -> Held:
     sitk = itk.imported()
     if "label" in image.GetPixelIDTypeAsString():  # whose voxels ITK does not give, and ends the process where asked
         raise SuppleError("an image of SimpleITK must have voxels, found a label map: SimpleITK.LabelMapToLabel(image)")
-    itk.check_voxels(_NAME, sitk, image)
+    itk.check_voxels(_NAME, image)
     ndim, several = image.GetDimension(), image.GetNumberOfComponentsPerPixel() > 1
     if ndim not in (2, 3, 4) or (ndim == 4 and several):
         kind = " of vectors" if several else ""
@@ -97,7 +96,7 @@ def _of_nibabel(image: Any) -> Held:
         header = image.header.copy()
         if scaled:
             header.set_data_dtype(whole.dtype)
-        affine = image.affine if where is None else np.linalg.inv(to_mm) @ _TO_RAS @ where.matrix
+        affine = image.affine if where is None else np.linalg.inv(to_mm) @ TO_RAS @ where.matrix
         return type(image)(whole, affine, header, extra=image.extra)
 
     return Held(samples, grid, like)

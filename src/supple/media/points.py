@@ -7,14 +7,14 @@ import json
 import re
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from supple.errors import SuppleError, shown
+from supple.errors import SuppleError, said, shown
 from supple.media import meshes
-from supple.media.files import PathLike, check_suffix, head_of, replacing, unreadable
+from supple.media.files import PathLike, check_suffix, head_of, refusing, replacing, unreadable
 from supple.media.meshes import Ints, Mesh, Part
 from supple.media.tables import Table, parsed
 from supple.media.volume import Volume
@@ -67,13 +67,13 @@ class PointFile:
 
     def parts(self) -> list[Part]:
         """Return what joins the points of a mesh; SuppleError if nothing does, or that is damaged."""
-        made = self._as_read.parts() if isinstance(self._as_read, Mesh) else []
+        with meshes.parsing(self.name):
+            made = self._as_read.parts() if isinstance(self._as_read, Mesh) else []
         if not any(len(part.triangles) + len(part.lines) for part in made):
             raise unreadable(self.name, "it has no faces, lines or contours", "give a mesh")
         return made
 
 
-_BOX = np.concatenate([np.zeros((1, 3)), np.eye(3) / 2, np.eye(3) / -2])  # its centre, and those of its faces
 # What follows from the control points of a plane; and its size, if it is automatic.
 _OF_PLANES = ("center", "origin", "normal", "orientation", "baseToNode", "baseToNodeMatrix")
 _SIZES = ("size", "planeBounds")
@@ -81,7 +81,7 @@ _SIZES = ("size", "planeBounds")
 
 @dataclass(frozen=True, slots=True)
 class _Markups:
-    """A ``.mrk.json`` and its placed points: (markup, control point or -1 of a box, whether x and y are flipped)."""
+    """A ``.mrk.json`` and its placed points: (markup, control point, whether x and y are flipped)."""
 
     data: dict[str, Any]
     places: tuple[tuple[int, int, bool], ...]
@@ -104,10 +104,9 @@ def read_points(path: PathLike, *, mesh: bool = False, series: Volume | None = N
     Without a header, the first three columns of numbers are the coordinates, or both where there are two. Comments
     begin with #.
 
-    Of a .mrk.json, these are the control points of all markups that are placed, in the convention of the first; with
-    ``mesh``, a region (ROI) has seven points more, its centre and those of its faces. ``series`` is what a structure
-    set of DICOM refers to when its points are written. SuppleError, with the line, for a file that is damaged or holds
-    no points.
+    Of a .mrk.json, these are the control points of all markups that are placed, in the convention of the first.
+    ``series`` is what a structure set of DICOM refers to when its points are written. SuppleError, with the line, for a
+    file that is damaged or holds no points.
     """
     name, kind = shown(path), _kind("read", path, mesh=mesh)
     if kind in meshes.KINDS.values():
@@ -117,7 +116,7 @@ def read_points(path: PathLike, *, mesh: bool = False, series: Volume | None = N
         return PointFile(found.points, said or "index", none, name, kind, found, told, found.normals, found.at)
     text = _text(path)
     if kind == "JSON":
-        return _from_json(name, text, mesh)
+        return _from_json(name, text)
     table, points, convention, labels, told = parsed(name, text, fcsv=kind == "fcsv")
     return PointFile(points, convention, labels, name, kind, table, told)
 
@@ -133,13 +132,13 @@ def write_points(
 ) -> None:
     """Write points into a copy of the file that they came from; it appears whole or not at all.
 
-    All other contents are kept, and so is the text of unchanged coordinates. A region (ROI) becomes the box that fits
-    the centres of its faces best. What Slicer measures (lengths, angles) is left out of a markup that moves, and so is
-    what it derives from the points of a plane.
+    All other contents are kept, and so is the text of unchanged coordinates. What Slicer measures (lengths, angles) is
+    left out of a markup that moves, and so is what it derives from the points of a plane. A region (ROI), and a plane
+    of a point and a normal, are refused where they move.
 
     The suffix, and the shape and convention of the points, are those of ``like``. ``notes``, a name and
-    a number for each point, become the last column of a CSV, or the one of that name, and an array of the points of VTK
-    PolyData; ``normals`` are those of a mesh, by default those of ``like``.
+    a number for each point, become the last column of a CSV, or the one of that name; ``normals`` are those of a mesh,
+    by default those of ``like``.
     """
     check_target(path, f"x{next(suffix for suffix, kind in _FORMATS.items() if kind == like.kind)}")
     made = np.asarray(points, np.float64)
@@ -148,8 +147,6 @@ def write_points(
         raise SuppleError(f"cannot write {shown(path)}: points must be {wanted}, as in {like.name}")
     if isinstance(like._as_read, Mesh):
         data = like._as_read.rewritten(made, like.normals if normals is None else normals)
-        if notes is not None and like.kind in meshes.NOTED and notes[1].any():
-            data = meshes.noted(data, like.kind, *notes)
     elif isinstance(like._as_read, Table):
         column = None if notes is None or like.kind != "CSV" else (notes[0], [f"{x:.3g}" for x in notes[1].tolist()])
         data = like._as_read.written(made, like.points, column).encode("utf-8", "surrogateescape")
@@ -174,127 +171,65 @@ def _text(path: PathLike) -> str:
     return data.decode("utf-8", "surrogateescape")  # so that labels in other encodings are kept
 
 
-def _from_json(name: str, text: str, boxes: bool) -> PointFile:
-    def refuse(where: str, found: str, advice: str) -> NoReturn:
-        raise SuppleError(f"cannot read {name}: {where}{found}: {advice}")
+def _from_json(name: str, text: str) -> PointFile:
+    where = ""
 
-    slicer = "save it from Slicer as .mrk.json"
-    try:
+    def refused(error: Exception) -> SuppleError:
+        what = f"{where}it is damaged, or no list of markups ({said(error)})"
+        return unreadable(name, what, "save it from Slicer as .mrk.json")
+
+    places: list[tuple[int, int, bool]] = []
+    points: list[Floats] = []
+    labels, first = [], ""
+    with refusing(refused, ValueError, LookupError, TypeError, AttributeError, RecursionError):
         data = json.loads(text.removeprefix("\ufeff"))
-    except json.JSONDecodeError as error:
-        refuse(f"line {error.lineno}: ", f"it is no whole JSON ({error.msg})", slicer)
-    except (ValueError, RecursionError):
-        refuse("", "it is JSON of a size or depth that nobody needs", slicer)
-    markups = data.get("markups") if isinstance(data, dict) else None
-    if not isinstance(markups, list):
-        refuse("", 'it has no list "markups"', slicer)
-    places, points, labels, first = [], [], [], ""
-    for m, markup in enumerate(markups):
-        where = f"markup {m + 1}: "
-        controls = markup.get("controlPoints") if isinstance(markup, dict) else None
-        if not isinstance(controls, list):
-            refuse(where, 'it has no list "controlPoints"', slicer)
-        convention = markup.get("coordinateSystem", "LPS")
-        if convention not in ("LPS", "RAS"):
-            refuse(where, f"its coordinateSystem is {value_shown(convention)}", 'give "LPS" or "RAS"')
-        unit = markup.get("coordinateUnits", "mm")
-        if unit != "mm" and not (isinstance(unit, list) and unit and unit[0] == "mm"):
-            refuse(where, f"its coordinateUnits are {value_shown(unit)}", 'give "mm"')
-        for k, control in enumerate(controls):
-            where = f"markup {m + 1}, control point {k + 1}: "
-            if not isinstance(control, dict):
-                refuse(where, f"it is {value_shown(control)}", "give an object with a position")
-            if control.get("positionStatus", "defined") != "defined":
-                continue
-            first = first or convention
-            position = _position(control.get("position"))
-            if position is None:
-                found = (
-                    f"its position is {value_shown(control['position'])}" if "position" in control else "no position"
-                )
-                refuse(where, found, f"give three numbers from {-LARGEST:g} to {LARGEST:g}")
-            places.append((m, k, convention != first))
-            points.append(position * FLIP if convention != first else position)
-            labels.append(str(control.get("label") or ""))
-        if boxes and markup.get("type") == "ROI" and "size" in markup:
-            box = _box(markup)
-            if box is None:
-                given = ", ".join(f"{key} {value_shown(markup.get(key))}" for key in ("center", "size", "orientation"))
-                refuse(f"markup {m + 1}: ", f"its box is {given}", "give 3, 3 and 9 numbers")
-            first = first or convention
-            places += [(m, -1, convention != first)] * len(box)
-            points += list(box * FLIP if convention != first else box)
-            labels += [""] * len(box)
+        for m, markup in enumerate(data["markups"]):
+            where = f"markup {m + 1}: "
+            convention, unit = markup.get("coordinateSystem", "LPS"), markup.get("coordinateUnits", "mm")
+            if convention not in ("LPS", "RAS") or "mm" not in (unit, *unit[:1]):
+                raise ValueError(f"coordinates in {value_shown(convention)}, {value_shown(unit)}, not LPS or RAS in mm")
+            for k, control in enumerate(markup["controlPoints"]):
+                if control.get("positionStatus", "defined") == "defined":
+                    point, first = _numbers(control["position"]), first or convention
+                    flipped = convention != first
+                    places.append((m, k, flipped))
+                    points.append(point * FLIP if flipped else point)
+                    labels.append(str(control.get("label") or ""))
     if not points:
-        refuse("", "it holds no points that are placed", "place some")
+        raise unreadable(name, "it holds no points that are placed", "place some")
     return PointFile(np.array(points), first, tuple(labels), name, "JSON", _Markups(data, tuple(places), text))
 
 
-def _box(markup: dict[str, Any]) -> Floats | None:
-    """Return the centre of a region, and those of its faces, (7, 3); None if a number is missing."""
-    centre, size = (_position(markup.get(key)) for key in ("center", "size"))
-    turn = _position(markup.get("orientation", np.eye(3).ravel().tolist()), 9)
-    if centre is None or size is None or turn is None:
-        return None
-    return np.asarray(centre + _BOX * size @ turn.reshape(3, 3).T)
-
-
-def _set_box(markup: dict[str, Any], new: Floats, old: Floats) -> None:
-    """Set the box of a region: that which fits the new centres of its faces best, or bounds its control points."""
-    turn = (old[1:4] - old[4:]).T
-    before = np.linalg.norm(turn, axis=0)
-    turn = np.divide(turn, before, out=np.reshape(markup.get("orientation", np.eye(3)), (3, 3)) + 0.0, where=before > 0)
-    if markup.get("roiType") == "BoundingBox":
-        controls = markup["controlPoints"]
-        placed = [c["position"] for c in controls if c.get("positionStatus", "defined") == "defined"]
-        low, high = (end(np.array(placed or new[:1]) @ turn, axis=0) for end in (np.min, np.max))
-        centre, size = turn @ (low + high) / 2, high - low
-    else:
-        edges = (new[1:4] - new[4:]).T
-        centre, size = new[0], np.linalg.norm(edges, axis=0)
-        left, _, right = np.linalg.svd(np.divide(edges, size, out=turn, where=size > 0))
-        turn = left @ right
-    markup["center"], markup["size"], markup["orientation"] = centre.tolist(), size.tolist(), turn.ravel().tolist()
+def _numbers(value: object) -> Floats:
+    made = np.array(value, np.float64)
+    if made.shape != (3,) or not (np.abs(made) <= LARGEST).all():
+        raise ValueError(f"{value_shown(value)} is not three numbers from {-LARGEST:g} to {LARGEST:g}")
+    return made
 
 
 def _drop_measured(markup: dict[str, Any], m: int, name: str) -> None:
-    """Leave out what Slicer computes from control points that have moved; SuppleError for a plane that has only one."""
+    """Leave out what Slicer computes from control points that moved; SuppleError for what has more than these."""
     for measured in markup.get("measurements") or ():
         for key in ("value", "controlPointValues") if isinstance(measured, dict) else ():
             measured.pop(key, None)
+    told = "a region (ROI): mark its corners by points" if markup.get("type") == "ROI" and "size" in markup else ""
     if markup.get("type") == "Plane":
-        few = len(markup["controlPoints"]) < 3
-        if few or markup.get("planeType") == "pointNormal":
-            told = f"cannot move {name}: markup {m + 1} is a Plane of a point and a normal"
-            raise SuppleError(f"{told}: make it one of three points in 3D Slicer, or leave it out")
+        if len(markup["controlPoints"]) < 3 or markup.get("planeType") == "pointNormal":
+            told = "a Plane of a point and a normal: make it one of three points"
         for key in (*_OF_PLANES, *(_SIZES if markup.get("sizeMode", "auto") == "auto" else ())):
             markup.pop(key, None)
-
-
-def _position(value: object, count: int = 3) -> Floats | None:
-    if not isinstance(value, list) or len(value) != count:
-        return None
-    if not all(isinstance(x, int | float) and not isinstance(x, bool) and abs(x) <= LARGEST for x in value):
-        return None
-    return np.array(value, np.float64)
+    if told:
+        raise SuppleError(f"cannot move {name}: markup {m + 1} is {told} in 3D Slicer, or leave it out")
 
 
 def _to_json(markups: _Markups, points: Floats, before: Floats, name: str) -> str:
     data = copy.deepcopy(markups.data)
-    boxes: dict[int, list[tuple[Floats, Floats]]] = {}
     for (m, k, flipped), new, old in zip(markups.places, points, before, strict=True):
         signs, markup = FLIP if flipped else np.ones(3), data["markups"][m]
-        if k < 0:
-            boxes.setdefault(m, []).append((new * signs, old * signs))
-        else:
-            for i in np.flatnonzero(new != old):
-                markup["controlPoints"][k]["position"][i] = float(new[i] * signs[i])
+        for i in np.flatnonzero(new != old):
+            markup["controlPoints"][k]["position"][i] = float(new[i] * signs[i])
         if (new != old).any():
             _drop_measured(markup, m, name)
-    for m, moved in boxes.items():
-        ends, starts = (np.array(each) for each in zip(*moved, strict=True))
-        if (ends != starts).any():
-            _set_box(data["markups"][m], ends, starts)
     text = markups.text
     step = re.match(r"\ufeff?\s*\{\r?\n([ \t]+)", text)
     made = json.dumps(data, indent=step[1] if step else 4, ensure_ascii=text.isascii())

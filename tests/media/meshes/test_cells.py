@@ -123,7 +123,7 @@ def test_ply_of_faces_of_many_sizes_and_edges(tmp_path: Path, order: str) -> Non
     for many in range(len(body) - 40, len(body), 7):  # whatever is missing
         path.write_bytes(head + body[:many])
         if order != "ascii" or many < len(body) - 20:
-            with pytest.raises(SuppleError, match=r"^cannot read .*in.ply: it ends before its faces do"):
+            with pytest.raises(SuppleError, match=r"^cannot read .*in.ply: it is damaged or cut short"):
                 opened(path).parts()
 
 
@@ -134,9 +134,6 @@ def test_obj_counts_from_both_ends(tmp_path: Path) -> None:
     _, part = only(path)
     assert part.triangles.tolist() == [[0, 1, 3], [6, 5, 4], [6, 4, 0]]
     assert part.lines.tolist() == [[0, 1], [1, 6]]
-    path.write_text("v 1 2 3\nf 1 a 1\n")
-    with pytest.raises(SuppleError, match=r"in.obj: line 2: a corner is no number: give a"):
-        opened(path).parts()
 
 
 def test_contours_are_closed_as_they_say_and_have_the_colour_of_their_region(tmp_path: Path) -> None:
@@ -151,29 +148,31 @@ def test_contours_are_closed_as_they_say_and_have_the_colour_of_their_region(tmp
     np.testing.assert_array_equal(read.points[liver.lines[24:48, 0]], circle(2.5))
 
 
-@pytest.mark.parametrize("kind", ["binary.vtk", "text.vtk", "old.vtk", "Appended-ZLib.vtp", "big.vtp"])
-def test_damaged_cells_are_told_in_one_sentence(tmp_path: Path, kind: str) -> None:
-    path = made.write(tmp_path / kind, made.surface())
-    whole = path.read_bytes()
-    if kind.endswith(".vtk"):
-        place = whole.index(b"POLYGONS") + (200 if kind == "old.vtk" else 500)
-        broken = whole[:place]
-    else:
-        broken = whole.replace(b'"Int64" Name="connectivity"', b'"Float64" Name="connectivity"')
-        assert broken != whole
-    path.write_bytes(broken)
+def refused(path: Path, content: bytes) -> None:
+    path.write_bytes(content)
     with pytest.raises(SuppleError) as caught:
         opened(path).parts()
     assert str(caught.value).startswith(f"cannot read {path}: ")
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.parametrize("kind", ["binary.vtk", "text.vtk", "old.vtk", "Appended-ZLib.vtp", "big.vtp"])
+def test_damaged_cells_are_told_in_one_sentence(tmp_path: Path, kind: str) -> None:
+    whole = made.write(tmp_path / kind, made.surface()).read_bytes()
+    if kind.endswith(".vtk"):
+        broken = whole[: whole.index(b"POLYGONS") + (200 if kind == "old.vtk" else 500)]
+    else:
+        broken = whole.replace(b'"Int64" Name="connectivity"', b'"Float64" Name="connectivity"')
+        assert broken != whole
+    refused(tmp_path / kind, broken)
+
+
 def test_runs_are_checked() -> None:
-    with pytest.raises(SuppleError, match=r"a face or line has vertex 4 of 3"):
-        part_of("in.vtk", 3, joined([[0, 1, 3]]))
-    with pytest.raises(SuppleError, match=r"do not have as many corners as it says"):
-        part_of("in.vtk", 3, lines=([0, 1, 2], [2]))
-    assert part_of("in.vtk", 3, joined([[0, 1], [2], []])).triangles.shape == (0, 3)
+    with pytest.raises(ValueError, match=r"a face or line has vertex 4 of 3"):
+        part_of(3, joined([[0, 1, 3]]))
+    with pytest.raises(ValueError, match=r"do not have as many corners as it says"):
+        part_of(3, lines=([0, 1, 2], [2]))
+    assert part_of(3, joined([[0, 1], [2], []])).triangles.shape == (0, 3)
 
 
 BEYOND = 1 << 64
@@ -184,6 +183,7 @@ POLYGONS = "# vtk DataFile Version 3.0\nx\nASCII\nDATASET POLYDATA\nPOINTS 1 flo
     ("name", "text"),
     [
         ("a.obj", f"v 1 2 3\nv 2 3 4\nv 3 4 5\nf 1 2 {BEYOND}\n"),
+        ("a.obj", "v 1 2 3\nf 1 a 1\n"),
         ("b.vtk", f"{POLYGONS} 1 2\n1 {BEYOND}\n"),
         ("c.vtk", f"{POLYGONS} 2 4\n-3 0 0 0\n"),
         ("d.ply", "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\n"
@@ -191,9 +191,4 @@ POLYGONS = "# vtk DataFile Version 3.0\nx\nASCII\nDATASET POLYDATA\nPOINTS 1 flo
     ],
 )  # fmt: skip
 def test_numbers_that_no_cell_has_are_told_in_one_sentence(tmp_path: Path, name: str, text: str) -> None:
-    path = tmp_path / name
-    path.write_text(text)
-    with pytest.raises(SuppleError) as caught:
-        opened(path).parts()
-    assert str(caught.value).startswith(f"cannot read {path}: ")
-    assert "\n" not in str(caught.value)
+    refused(tmp_path / name, text.encode())

@@ -107,20 +107,6 @@ class TestStl:
         assert np.frombuffer(after, facet.dtype, 2, 84)["attribute"].tolist() == [0x7C1F, 0x83E0]
         assert opened(tmp_path / "out.stl").told == "mesh"
 
-    def test_what_is_no_stl(self, tmp_path: Path) -> None:
-        path = tmp_path / "bad.stl"
-        assert "its 200 bytes are not the" in refused(path, bytes(80) + b"\x09" + bytes(119))
-        assert refused(path, bytes(84)).startswith("it holds no vertices")
-        head = "solid a\n facet normal 0 0 1\n outer loop\n"
-        assert refused(path, f"{head} vertex 0 0 0\n vertex 1 0 0\n endsolid\n").startswith(
-            "its facets are not a normal"
-        )
-        assert "'1e' is no number" in refused(
-            path, f"{head} vertex 0 0 0\n vertex 1e 0 0\n vertex 0 1 0\n endsolid a\n"
-        )
-        text = refused(path, f"{head} vertex 0 0 nan\n vertex 1 0 0\n vertex 0 1 0\n endsolid a\n")
-        assert text.startswith("vertex 1 is (0, 0, nan): a coordinate is a number from")
-
 
 OBJ = """# a comment
 mtllib skin.mtl
@@ -167,18 +153,6 @@ class TestObj:
         write_points(tmp_path / "out.obj", read.points + [0, 0.5, 0] * (read.points[:, :1] > 0), read)
         wanted = text.replace(" 0 0 # of", " 0.5 0 # of").replace("\n", end)
         assert (tmp_path / "out.obj").read_bytes().decode() == wanted
-
-    def test_what_is_wrong_names_its_line(self, tmp_path: Path) -> None:
-        path = tmp_path / "bad.obj"
-        assert refused(path, "v 1 2\n").startswith("line 1: a vertex or normal has fewer than three numbers")
-        assert refused(path, "v 1 2 3\ncurv 0 1 1 1\n").startswith("line 2: it has free-form curves or surfaces")
-        assert refused(path, "v 1 2 3\nvn 0 0 1\nf 1//2 1//1 1//1\n").startswith("a face has normal 2 of 1")
-        assert refused(path, "v 1 2 3\nvn 0 0 1\nf 1//x 1//1 1//1\n").startswith("line 3: 1//x is no corner")
-        for face in ("0//1 1//1", "1//0 1//1", "1/0/1 1//1", "1 0", "1 1 00 # all"):
-            text = f"v 1 \\\n2 3\nvn 0 0 1\nf 1//1 {face}\n"
-            assert refused(path, text).startswith("line 4: an index is 0, and the first one is 1")
-        assert "'a' is no number" in refused(path, "v 1 2 a\n")
-        assert refused(path, "f 1 2 3\n").startswith("it holds no vertices")
 
 
 PLY = """ply
@@ -229,33 +203,57 @@ class TestPly:
             rows[axis] /= 3
         assert (tmp_path / "out.ply").read_bytes() == head.encode() + b"abcd" + rows.tobytes() + b"rest"
 
-    def test_what_is_wrong(self, tmp_path: Path) -> None:
-        path = tmp_path / "bad.ply"
-        assert "does not begin with the header" in refused(path, "v 1 2 3\n")
-        assert refused(path, PLY.replace("format ascii 1.0\n", "")).startswith("its header names no format")
-        assert "the line 'property half x'" in refused(path, PLY.replace("float x", "half x"))
-        assert "x of its vertices is not of floats" in refused(path, PLY.replace("float x", "int x"))
-        assert refused(path, PLY.replace("float x", "float u")).startswith("no property x")
-        assert refused(path, PLY.replace("float x", "float y")).startswith("its vertices have y twice")
-        assert "vertex 2 has 4 numbers" in refused(path, PLY.replace("0 1.50 7 0 0", "0 1.50 7 0"))
-        assert "before its 3 vertices do" in refused(path, PLY.partition("1 0 0 2 0")[0])
-        assert "camera has lists before the vertices end" in refused(path, PLY.replace("ascii", "binary_little_endian"))
+
+FACET = "solid a\n facet normal 0 0 1\n outer loop\n"
+STATEMENTS = "v 1 \\\n2 3\nvn 0 0 1\nf 1//1 {}\n"
 
 
-class TestVtk:
-    def test_other_data_are_refused(self, tmp_path: Path) -> None:
-        text = "# vtk DataFile Version 3.0\nx\nASCII\nDATASET STRUCTURED_POINTS\nDIMENSIONS 1 1 1\n"
-        assert refused(tmp_path / "a.vtk", text) == "it holds STRUCTURED_POINTS: give PolyData, such as a surface"
-        whole = '<VTKFile type="UnstructuredGrid" version="1.0"></VTKFile>'
-        assert refused(tmp_path / "a.vtp", whole) == "it holds UnstructuredGrid: give PolyData, such as a surface"
-        assert refused(tmp_path / "a.vtp", "<svg/>").startswith("it does not begin as XML of VTK does")
-        lz4 = '<VTKFile type="PolyData" compressor="vtkLZ4DataCompressor"></VTKFile>'
-        assert (
-            refused(tmp_path / "a.vtp", lz4)
-            == "it is compressed by vtkLZ4DataCompressor: save it with ZLib, or uncompressed"
-        )
+@pytest.mark.parametrize(
+    ("name", "text", "told"),
+    [
+        ("a.stl", bytes(80) + b"\x09" + bytes(119), "its 200 bytes are not the"),
+        ("a.stl", bytes(84), "it holds no vertices"),
+        ("a.stl", f"{FACET} vertex 0 0 0\n vertex 1 0 0\n endsolid\n", "its facets are not a normal"),
+        ("a.stl", f"{FACET} vertex 0 0 0\n vertex 1e 0 0\n vertex 0 1 0\n endsolid a\n", "it is damaged or cut short"),
+        (
+            "a.stl",
+            f"{FACET} vertex 0 0 nan\n vertex 1 0 0\n vertex 0 1 0\n endsolid a\n",
+            "vertex 1 is (0, 0, nan): a coordinate is a number from",
+        ),
+        ("a.obj", "v 1 2\n", "line 1: a vertex or normal has fewer than three numbers"),
+        ("a.obj", "v 1 2 3\ncurv 0 1 1 1\n", "line 2: it has free-form curves or surfaces"),
+        ("a.obj", "v 1 2 3\nvn 0 0 1\nf 1//2 1//1 1//1\n", "a face has another normal or vertex"),
+        ("a.obj", "v 1 2 3\nvn 0 0 1\nf 1//x 1//1 1//1\n", "it is damaged or cut short"),
+        ("a.obj", "v 1 2 a\n", "it is damaged or cut short"),
+        ("a.obj", "f 1 2 3\n", "it holds no vertices"),
+        *(
+            ("a.obj", STATEMENTS.format(face), "line 4: an index is 0, and the first one is 1")
+            for face in ("0//1 1//1", "1//0 1//1", "1/0/1 1//1", "1 0", "1 1 00 # all")
+        ),
+        ("a.ply", "v 1 2 3\n", "it does not begin with the header"),
+        ("a.ply", PLY.replace("format ascii 1.0\n", ""), "its header names no format"),
+        ("a.ply", PLY.replace("float x", "half x"), "its header has the line 'property half x'"),
+        ("a.ply", PLY.replace("float x", "int x"), "the property x of its vertices is not of floats"),
+        ("a.ply", PLY.replace("float x", "float u"), "the property x of its vertices is not of floats"),
+        ("a.ply", PLY.replace("double quality", "float y"), "a property is there twice"),
+        ("a.ply", PLY.replace("0 1.50 7 0 0", "0 1.50 7 0"), "vertex 2 has 4 numbers"),
+        ("a.ply", PLY.partition("1 0 0 2 0")[0], "it ends before its 3 vertices do"),
+        ("a.ply", PLY.replace("ascii", "binary_little_endian"), "it has lists before the vertices end"),
+        ("a.vtk", "# vtk DataFile Version 3.0\nx\nASCII\nDATASET FIELD\n", "it holds FIELD: give PolyData"),
+        ("a.vtp", '<VTKFile type="UnstructuredGrid"></VTKFile>', "it holds UnstructuredGrid: give PolyData"),
+        ("a.vtp", "<svg/>", "it does not begin as XML of VTK does"),
+        (
+            "a.vtp",
+            '<VTKFile type="PolyData" compressor="vtkLZ4DataCompressor"></VTKFile>',
+            "it is compressed by vtkLZ4DataCompressor: save it with ZLib, or uncompressed",
+        ),
+    ],
+)
+def test_what_is_refused(tmp_path: Path, name: str, text: str | bytes, told: str) -> None:
+    assert refused(tmp_path / name, text).startswith(told)
 
-    def test_an_array_that_is_damaged(self, tmp_path: Path) -> None:
-        whole = made.write(tmp_path / "Binary-ZLib.vtp", made.surface()).read_bytes()
-        at = whole.index(b'Name="Points"') + 220
-        assert "an array is damaged" in refused(tmp_path / "bad.vtp", whole[:at] + b"AAAAAAAA" + whole[at + 8 :])
+
+def test_an_array_that_is_damaged(tmp_path: Path) -> None:
+    whole = made.write(tmp_path / "Binary-ZLib.vtp", made.surface()).read_bytes()
+    at = whole.index(b'Name="Points"') + 220
+    assert "it is damaged" in refused(tmp_path / "bad.vtp", whole[:at] + b"AAAAAAAA" + whole[at + 8 :])

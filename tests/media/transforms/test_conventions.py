@@ -107,23 +107,18 @@ REFUSED: list[tuple[str, Callable[[Path], object], str | None, list[str]]] = [
     ("a.nii", lambda p: image(p, NOISE), "elastix", ["convention must be one of", "mrtrix-displacement"]),
     ("a.mat", lambda p: np.savetxt(p, np.eye(4)), None, ["the input (moving) image", "as source"]),
     ("a.txt", lambda p: p.write_text("1 0 0 0\n" * 4), None, ["itk, fsl-affine"]),
-    ("a.mat", lambda p: p.write_text("1 0 0 0\n" * 3), "fsl-affine", ["12 numbers", "4 x 4"]),
-    ("a.mat", lambda p: p.write_text("one\n"), "fsl-affine", ["words"]),
-    ("a.1D", lambda p: p.write_text("1 0 0 0 0 1 0 0 0 0 1 0\n" * 2), None, ["24 numbers", "3 x 4"]),
+    ("a.mat", lambda p: p.write_text("1 0 0 0\n" * 3), "fsl-affine", ["size 12", "(4,4)"]),
+    ("a.mat", lambda p: p.write_text("one\n"), "fsl-affine", ["no file of the convention fsl-affine"]),
+    ("a.1D", lambda p: p.write_text("1 0 0 0 0 1 0 0 0 0 1 0\n" * 2), None, ["size 24", "(3,4)"]),
     ("a.1D", lambda p: p.write_text("1 0 0 0 0 1 0 0 0 0 0 0\n"), None, ["singular"]),
     ("a.1D", lambda p: p.write_text("nan 0 0 0 0 1 0 0 0 0 1 0\n"), None, ["finite"]),
-    ("a.1D", lambda p: p.write_bytes(b"\xff\x00"), None, ["no text"]),
+    ("a.1D", lambda p: p.write_bytes(b"\xff\x00"), None, ["no file of the convention afni"]),
     ("a.lta", lambda p: p.write_text("type = 14\nnxforms = 1\n1 4 4\n"), None, ["type 14", "lta_convert"]),
     ("a.lta", lambda p: p.write_text("type = 1\nnxforms = 2\n"), None, ["2 maps"]),
     ("a.m3z", lambda p: p.write_bytes(b"x"), None, ["mri_warp_convert"]),
-    (
-        "a.mgz",
-        lambda p: nibabel.save(nibabel.MGHImage(NOISE.astype("f4"), np.eye(4)), p),
-        None,
-        ["no two images"],
-    ),
+    ("a.mgz", lambda p: nibabel.save(nibabel.MGHImage(NOISE.astype("f4"), np.eye(4)), p), None, ["is no warp"]),
     ("a.mgz", lambda p: p.write_bytes(b"x"), None, ["no .mgz"]),
-    ("a.mif", lambda p: p.write_bytes(b"mrtrix image\nEND\n"), "mrtrix", ["no .mif file of x, y, z", "mrconvert"]),
+    ("a.mif", lambda p: p.write_bytes(b"mrtrix image\nEND\n"), "mrtrix", ["convention mrtrix"]),
     ("a.mif", lambda p: p.write_bytes((DATA / "mrtrix_0.mif").read_bytes()), None, ["mrtrix, mrtrix-displacement"]),
     ("a.h5", lambda p: p.write_bytes(b"x" * 99), None, ["no ITK transform file"]),
     ("a.mha", lambda p: sitk.WriteImage(sitk.Image([4] * 3, sitk.sitkUInt8), str(p)), None, ["one value"]),
@@ -132,12 +127,7 @@ REFUSED: list[tuple[str, Callable[[Path], object], str | None, list[str]]] = [
     ("a.foo", lambda p: p.write_bytes(b"x"), None, ["the suffix .foo", "give the convention"]),
     ("a.foo", lambda p: p.write_bytes(b"x"), "itk", ["the suffix .foo"]),
     ("a", lambda p: p.write_bytes(b"x"), None, ["without suffix"]),
-    (
-        "a.npy",
-        lambda p: np.save(p, NOISE[0, ..., :2]),
-        None,
-        ["positions", "displacements", "give convention='opencv'"],
-    ),
+    ("a.npy", lambda p: np.save(p, NOISE[0, ..., :2]), None, ["positions", "give convention='opencv'"]),
     ("a.npz", lambda p: np.savez(p, NOISE[0, ..., :2]), None, ["give convention='opencv'"]),
     ("a.png", lambda p: p.write_bytes(b"x"), None, ["give convention='stmap'"]),
     ("a.tif", lambda p: p.write_bytes(b"x"), None, ["give convention='stmap'"]),
@@ -210,7 +200,7 @@ def test_a_tag_of_an_mgz_that_is_too_short(tmp_path: Path) -> None:
     (tmp_path / "a.mgz").write_bytes(gzip.compress(whole[:at] + struct.pack(">iq", 13, 0) + whole[at + 24 :]))
     with pytest.raises(SuppleError) as caught:
         read(tmp_path / "a.mgz")
-    check(caught.value, ["a.mgz", "cut short or damaged"])
+    check(caught.value, ["a.mgz", "it is damaged"])
 
 
 @pytest.mark.parametrize("convention", CONVENTIONS)

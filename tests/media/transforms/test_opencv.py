@@ -13,7 +13,7 @@ import pytest
 from supple import SuppleError
 from supple.media.transforms import Displacements, read, write
 from supple.space.geometry import Grid
-from tests.media.transforms.mapping import mapped, sampled
+from tests.media.transforms.mapping import sampled
 
 Array = npt.NDArray[Any]
 
@@ -78,15 +78,6 @@ def test_a_ramp_and_an_image_through_remap(tmp_path: Path) -> None:
     np.testing.assert_allclose(seen, cv2.remap(image, x, y, **options), atol=1e-3)
 
 
-def test_landmarks_of_a_lens(tmp_path: Path) -> None:
-    camera, lens = np.array([[60, 0, 26], [0, 60, 18], [0, 0, 1.0]]), np.array([-0.2, 0.05, 0.001, 0.002, 0])
-    x, y = cv2.initUndistortRectifyMap(camera, lens, None, camera, SHAPE[::-1], cv2.CV_32FC1)
-    read_back = read(stored(tmp_path / "lens.xml", map1=x, map2=y))
-    points = np.random.default_rng(0).uniform([8, 6], [44, 30], (20, 2))
-    ideal = cv2.undistortPoints(points[:, None], camera, lens, P=camera)[:, 0]
-    assert np.abs(mapped(read_back, ideal) - points).max() < 1e-3
-
-
 @pytest.mark.parametrize("suffix", [".npy", ".npz", ".xml", ".yml", ".yaml"])
 def test_round_trips(suffix: str, tmp_path: Path) -> None:
     values = np.dstack([X - COLUMNS, Y - ROWS])
@@ -139,16 +130,14 @@ def test_what_is_no_map_is_refused(tmp_path: Path) -> None:
 
 def test_damaged_text_is_refused(tmp_path: Path) -> None:
     whole = {suffix: stored(tmp_path / f"a{suffix}", map1=X, map2=Y).read_text() for suffix in (".xml", ".yml")}
+    what = "no whole file of matrices"
     for suffix, text, match in [
-        (".xml", whole[".xml"][:3000], "its matrix map1 is cut short"),
-        (".xml", "<svg/>", "does not begin with <opencv_storage>"),
-        (".xml", whole[".xml"].replace("<rows>37", "<rows>38", 1), "holds 1961 numbers in place of 2014"),
-        (".xml", whole[".xml"].replace("<dt>f", "<dt>q", 1), "has the type 'q'"),
-        (".xml", whole[".xml"].replace("</data>", " spam </data>", 1), "no plain numbers"),
+        (".xml", whole[".xml"][:3000], what),
+        (".xml", "<svg/>", what),
+        (".xml", whole[".xml"].replace("<rows>37", "<rows>38", 1), what),
         (".xml", whole[".xml"].replace("map", "left"), "left1, left2, which do not tell"),
-        (".yml", whole[".yml"][:3000], "its matrix map1 is cut short"),
-        (".yml", "map1: 3", "does not begin with %YAML"),
-        (".yml", "%YAML:1.0\n---\n", "holds nothing"),
+        (".yml", whole[".yml"][:3000], what),
+        (".yml", "map1: 3", "holds nothing"),
     ]:
         path = tmp_path / f"b{suffix}"
         path.write_text(text)

@@ -336,18 +336,6 @@ class TestRefused:
         assert "it cannot be written by pydicom (With tag (0028,0106) got exception" in message
         assert not (tmp_path / "out").exists()
 
-    def test_slices_that_are_gone(self, tmp_path: Path) -> None:
-        folder = source(tmp_path / "in", noise("i2", *SHAPE))
-        known = read(folder)
-        next(folder.iterdir()).unlink()
-        assert "not readable any more" in refused(write, tmp_path / "out", known.samples, known)
-
-
-def test_labels_stay_labels(tmp_path: Path) -> None:
-    folder = source(tmp_path / "in", noise("u1", *SHAPE).astype("i2") % 3)
-    supple.warp_file(folder, tmp_path / "out", BENT, volume=VolumeOptions(labels=True))
-    assert set(np.unique(read(tmp_path / "out").samples)) <= {0, 1, 2}
-
 
 def test_a_derived_series_says_that_slices_were_interpolated(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     normal = turned(flipped=False)[:, 2]

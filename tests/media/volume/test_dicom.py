@@ -134,15 +134,6 @@ class TestDICOM:
         assert (known.format, known.geometry.convention) == ("DICOM", "LPS")
         assert known.header == tuple(map(str, sorted((tmp_path / "in").iterdir())))
 
-    def test_others_see_the_same_places(self, tmp_path):
-        folder = slices(tmp_path / "in", volumes.noise("i2", *volumes.SHAPE))
-        reader = sitk.ImageSeriesReader()
-        reader.SetFileNames(reader.GetGDCMSeriesFileNames(str(folder)))
-        sitk.WriteImage(reader.Execute(), str(tmp_path / "out.nrrd"))
-        volumes.agree(volumes.by_us(folder), volumes.by_itk(tmp_path / "out.nrrd"))
-        write(tmp_path / "out.nii", read(folder).samples, read(folder))
-        volumes.agree(volumes.by_us(folder), volumes.by_nibabel(tmp_path / "out.nii"))
-
     def test_nothing_of_the_patient_gets_out(self, tmp_path):
         known = read(slices(tmp_path / "in", volumes.noise("i2", *volumes.SHAPE)))
         for suffix in volumes.PLACED:

@@ -117,7 +117,7 @@ def test_damage_is_told_in_one_sentence(tmp_path: Path) -> None:
     for damaged, text in (
         (data[:200], "it is no .mgz or .mgh file"),
         (b"PNG!" + data[4:], "it is no .mgz or .mgh file"),
-        (data[:900], "its header promises 1260 bytes of voxels, and it has 616"),
+        (data[:900], "its header promises 1544 bytes, and it has 900"),
         (data[:20] + (99).to_bytes(4, "big") + data[24:], "voxels of type 99"),
         (data[:4] + bytes(4) + data[8:], "it holds 0 x 7 x 5 x 1 voxels"),
         (data[:30] + b"\x7f\xc0\0\0" * 15 + data[90:], "its spacing is nan x nan x nan"),

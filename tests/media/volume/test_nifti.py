@@ -268,16 +268,3 @@ class TestWarped:
             header = nibabel.load(f"out{suffix}").header
             assert header.get_zooms() == (2, 2.25, 2.5, 1.75)
             assert (header["toffset"], header["slice_duration"]) == (3.5, 0.125)
-
-    @pytest.mark.parametrize("suffix", [".nii.gz", ".nrrd", ".mha", ".tif"])
-    def test_colours(self, tmp_path, monkeypatch, suffix):
-        monkeypatch.chdir(tmp_path)
-        colours = volumes.noise("u1", 8, 7, 6, 3)
-        packed = colours.view([("R", "u1"), ("G", "u1"), ("B", "u1")]).reshape(8, 7, 6)
-        nibabel.Nifti1Image(packed, self.AFFINE).to_filename("in.nii.gz")
-        supple.warp_file("in.nii.gz", f"out{suffix}", self.RECIPE, clamp=False)
-        made = read(f"out{suffix}")
-        for c in range(3):
-            np.testing.assert_array_equal(made.samples[..., c].T, self.alone(np.ascontiguousarray(colours[..., c])))
-        if suffix == ".nii.gz":
-            assert nibabel.load("out.nii.gz").get_data_dtype() == packed.dtype

@@ -27,7 +27,7 @@ class TestRaw:
     def test_dat_of_another_size(self, tmp_path, extra):
         data = struct.pack("<3H", 6, 5, 4) + bytes(240 + extra)
         (tmp_path / "in.dat").write_bytes(data)
-        assert f"6 x 5 x 4 samples of 16 bits, 246 bytes in all, and it has {246 + extra}" in refused(
+        assert f"6 x 5 x 4 voxels of uint16 after 6 bytes take 246 bytes, and it has {246 + extra}" in refused(
             read, tmp_path / "in.dat"
         )
 
@@ -198,9 +198,9 @@ class TestAxes:
     @pytest.mark.parametrize(
         ("axes", "told"),
         [
-            ("TCZYX", "it holds 3 times and 2 channels: bend it to a Zarr store"),
+            ("TCZYX", "it holds channels or colours of several times: bend it to a Zarr store"),
             ("CZYXS", "its axes are 2 C x 4 Z x 5 Y x 6 X x 3 S"),
-            ("TZYXS", "it holds colours of several times"),
+            ("TZYXS", "it holds channels or colours of several times"),
             ("QQYX", "its axes are 2 Q x 2 Q x 5 Y x 6 X"),
         ],
     )

@@ -7,9 +7,11 @@ Structure sets of DICOM are written by pydicom.
 
 from __future__ import annotations
 
-import math
+import lzma
 import re
+import zlib
 from collections.abc import Callable, Iterable, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from importlib import import_module
 from itertools import islice
@@ -18,14 +20,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from supple.media.files import PathLike, head_of, unreadable
+from supple.errors import said
+from supple.media.files import PathLike, head_of, refusing, unreadable
 from supple.media.volume import Volume
 from supple.space.checks import LARGEST
 
 KINDS = {".stl": "STL", ".obj": "OBJ", ".ply": "PLY", ".vtk": "VTK", ".vtp": "VTP", ".dcm": "RTSTRUCT"}
 """Kinds of files by their suffix."""
-NOTED = ("VTK", "VTP")
-"""Kinds that hold a number for each point, by a name."""
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.intp]
 Spans = Sequence[tuple[int, int]]
@@ -81,44 +82,29 @@ class Numbers:
         if self.rows is None:
             old, after = self.values.ravel(), new.ravel()
             return [(*self.spans[k], repr(float(after[k])).encode()) for k in np.flatnonzero(old != after).tolist()]
-        made, first = self.rows.copy(), 0
-        for name in self.columns:
-            width = _width(made.dtype, name)
-            made[name] = new[:, first : first + width].reshape(made[name].shape)
-            first += width
+        made = self.rows.copy()
+        for name, part in zip(self.columns, np.split(new, len(self.columns), axis=1), strict=True):
+            made[name] = part.reshape(made[name].shape)
         return [(self.start, self.end, made.tobytes())]
 
 
-def in_text(path: PathLike, data: bytes, spans: Spans, width: int, start: int = 0) -> Numbers:
-    """Return the numbers at spans of text, in rows of so many; SuppleError for what is none."""
-    try:
-        values = np.array([float(data[a:b]) for a, b in spans])
-    except ValueError as error:
-        raise unreadable(path, f"{str(error).rpartition(': ')[2].removeprefix('b')} is no number") from error
-    return Numbers(values.reshape(-1, width), spans, start)
+def in_text(data: bytes, spans: Spans, width: int, start: int = 0) -> Numbers:
+    """Return the numbers at spans of text, in rows of so many; ValueError for what is none."""
+    return Numbers(np.array([float(data[a:b]) for a, b in spans]).reshape(-1, width), spans, start)
 
 
-def in_rows(
-    path: PathLike, data: bytes, start: int, count: int, fields: Sequence[Any], columns: Sequence[str], what: str
-) -> Numbers:
-    """Return columns of binary rows, whose dtype has these fields; SuppleError if they end early."""
-    dtype = np.dtype(list(fields))
-    if start + count * dtype.itemsize > len(data):
-        raise unreadable(path, f"it ends before its {count} {what} do")
-    rows = np.frombuffer(data, dtype, count, start)
-    values = np.hstack([rows[name].reshape(count, _width(dtype, name)).astype(np.float64) for name in columns])
+def in_rows(data: bytes, start: int, count: int, fields: Sequence[Any], columns: Sequence[str]) -> Numbers:
+    """Return columns, as wide as each other, of binary rows with these fields; ValueError if they end early."""
+    rows = np.frombuffer(data, np.dtype(list(fields)), count, start)
+    values = np.hstack([np.atleast_2d(rows[name].T).T for name in columns]).astype(np.float64)
     return Numbers(values, start=start, rows=rows, columns=columns)
 
 
-def _width(dtype: np.dtype[Any], name: str) -> int:
-    return math.prod(dtype[name].shape)
-
-
-def tokens(path: PathLike, data: bytes, start: int, count: int, what: str) -> Spans:
-    """Return the spans of the words that follow in text; SuppleError if there are fewer."""
+def tokens(data: bytes, start: int, count: int) -> Spans:
+    """Return the spans of the words that follow in text; ValueError if there are fewer."""
     spans = [match.span() for match in islice(TOKEN.finditer(data, start), count)]
     if len(spans) < count:
-        raise unreadable(path, f"it ends before its {what} do")
+        raise ValueError(f"{count} numbers are promised, and {len(spans)} are left")
     return spans
 
 
@@ -150,23 +136,23 @@ def checked(path: PathLike, points: npt.ArrayLike) -> Floats:
 
 
 def part_of(
-    path: PathLike,
     count: int,
     polygons: Runs = NO_RUNS,
     lines: Runs = NO_RUNS,
     strips: Runs = NO_RUNS,
+    *,
     colour: tuple[float, float, float] | None = None,
 ) -> Part:
-    """Return a part of a mesh of ``count`` vertices; SuppleError if one has another index.
+    """Return a part of a mesh of ``count`` vertices; ValueError if one has another index.
 
     Polygons are divided into triangles that share their first corner, which is exact for convex ones.
     """
-    first, k, corners = _steps(path, count, polygons, 2)
+    first, k, corners = _steps(count, polygons, 2)
     triangles = np.stack([corners[first], corners[first + k + 1], corners[first + k + 2]], axis=-1)
-    first, k, corners = _steps(path, count, strips, 2)
+    first, k, corners = _steps(count, strips, 2)
     odd = k % 2  # every second triangle of a strip is turned
     stripped = np.stack([corners[first + k], corners[first + k + 1 + odd], corners[first + k + 2 - odd]], axis=-1)
-    first, k, corners = _steps(path, count, lines, 1)
+    first, k, corners = _steps(count, lines, 1)
     pairs = np.stack([corners[first + k], corners[first + k + 1]], axis=-1)
     return Part(np.concatenate([triangles, stripped]), pairs, colour)
 
@@ -176,20 +162,22 @@ def joined(runs: Sequence[Sequence[int]]) -> Runs:
     return [corner for run in runs for corner in run], [len(run) for run in runs]
 
 
-def _steps(path: PathLike, count: int, runs: Runs, less: int) -> tuple[Ints, Ints, Ints]:
+def _steps(count: int, runs: Runs, less: int) -> tuple[Ints, Ints, Ints]:
     """Return where each run begins, and the steps from there, for each of its corners but the last ``less``."""
-    try:
-        corners, many = (np.asarray(each, np.intp).ravel() for each in runs)
-    except OverflowError:
-        raise unreadable(path, f"a face or line has a vertex beyond the last of {count}") from None
+    corners, many = (np.asarray(each, np.intp).ravel() for each in runs)
     if (many < 0).any() or many.sum() != len(corners):
-        raise unreadable(path, "its faces or lines do not have as many corners as it says")
-    wrong = corners[(corners < 0) | (corners >= count)]
-    if len(wrong):
-        raise unreadable(path, f"a face or line has vertex {wrong[0] + 1} of {count}")
+        raise ValueError("its faces or lines do not have as many corners as it says")
+    if len(wrong := corners[(corners < 0) | (corners >= count)]):
+        raise ValueError(f"a face or line has vertex {wrong[0] + 1} of {count}")
     each = np.maximum(many - less, 0)
     first = np.repeat(np.cumsum(many) - many, each)
     return first, np.arange(each.sum()) - np.repeat(np.cumsum(each) - each, each), corners
+
+
+def parsing(path: PathLike) -> AbstractContextManager[None]:
+    """Convert errors of what is damaged to one sentence."""
+    kinds = ValueError, OverflowError, LookupError, zlib.error, lzma.LZMAError
+    return refusing(lambda error: unreadable(path, f"it is damaged or cut short ({said(error)})"), *kinds)
 
 
 def read_mesh(path: PathLike, kind: str, series: Volume | None = None) -> Mesh:
@@ -198,10 +186,6 @@ def read_mesh(path: PathLike, kind: str, series: Volume | None = None) -> Mesh:
     With a ``series`` of DICOM, a structure set that is written refers to it.
     """
     parsed: Callable[..., Mesh] = import_module(f"supple.media.meshes.{kind.lower()}").parsed
-    return parsed(path, head_of(path, -1, "give a file of a mesh"), **({} if series is None else {"series": series}))
-
-
-def noted(data: bytes, kind: str, name: str, values: Floats) -> bytes:
-    """Return a file of one of the kinds in `NOTED` with an array of its points more."""
-    module = import_module(f"supple.media.meshes.{kind.lower()}")
-    return module.noted(data, name, values)  # type: ignore[no-any-return]
+    data = head_of(path, -1, "give a file of a mesh")
+    with parsing(path):
+        return parsed(path, data, **({} if series is None else {"series": series}))

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from supple.errors import SuppleError, shown
+from supple.errors import SuppleError
 from supple.media.files import PathLike, unreadable
 from supple.media.meshes import TOKEN, Floats, Mesh, Part, checked, edited, in_text, joined, part_of, space_of
 
@@ -36,20 +36,14 @@ def parsed(path: PathLike, data: bytes) -> Mesh:
             for corner in line.split()[1:]:
                 parts = corner.split(b"/")
                 if len(parts) == 3 and parts[2]:
-                    try:
-                        pairs[_index(parts[2], counts[1]), _index(parts[0], counts[0])] = None
-                    except ValueError:
-                        what = f"{shown(corner.decode(errors='replace'))} is no corner"
-                        raise _refused(path, data, start, what) from None
+                    pairs[_index(parts[2], counts[1]), _index(parts[0], counts[0])] = None
         elif word not in (b"", b"f", b"l", b"p"):
             raise _refused(path, data, start, "it has free-form curves or surfaces: save it as polygons")
-    vertices, vectors = (in_text(path, data, spans[word], 3) for word in (b"v", b"vn"))
+    vertices, vectors = (in_text(data, spans[word], 3) for word in (b"v", b"vn"))
     points, normals = checked(path, vertices.values), vectors.values
     which, at = np.array(sorted(pairs), np.intp).reshape(-1, 2).T
-    for ids, many, what in ((which, len(normals), "normal"), (at, len(points), "vertex")):
-        wrong = ids[(ids < 0) | (ids >= many)]
-        if len(wrong):
-            raise unreadable(path, f"a face has {what} {wrong[0] + 1} of {many}")
+    if (np.minimum(which, at) < 0).any() or (which >= len(normals)).any() or (at >= len(points)).any():
+        raise unreadable(path, f"a face has another normal or vertex than its {len(normals)} and {len(points)}")
 
     def rewritten(moved: Floats, turned: Floats) -> bytes:
         # of a normal that several vertices share, the mean of theirs
@@ -63,7 +57,7 @@ def parsed(path: PathLike, data: bytes) -> Mesh:
 
     comments = re.match(rb"(?:\s*#[^\n]*\n)*", data)
     said = space_of(comments[0] if comments else b"")
-    return Mesh(points, said, rewritten, lambda: _parts(path, data, len(points)), normals[which], at)
+    return Mesh(points, said, rewritten, lambda: _parts(data, len(points)), normals[which], at)
 
 
 def _statements(data: bytes) -> Iterator[tuple[int, bytes]]:
@@ -82,16 +76,13 @@ def _refused(path: PathLike, data: bytes, start: int, what: str) -> SuppleError:
     return unreadable(path, f"line {len(data[:start].splitlines()) + 1}: {what}")
 
 
-def _parts(path: PathLike, data: bytes, count: int) -> list[Part]:
+def _parts(data: bytes, count: int) -> list[Part]:
     runs: dict[bytes, list[list[int]]] = {b"f": [], b"l": []}
     vertices = 0
-    for start, line in _statements(data):
+    for _, line in _statements(data):
         match line.split():
             case [b"v", *_]:
                 vertices += 1
             case [b"f" | b"l" as word, *corners]:
-                try:
-                    runs[word].append([_index(corner.partition(b"/")[0], vertices) for corner in corners])
-                except ValueError:
-                    raise _refused(path, data, start, "a corner is no number") from None
-    return [part_of(path, count, joined(runs[b"f"]), joined(runs[b"l"]))]
+                runs[word].append([_index(corner.partition(b"/")[0], vertices) for corner in corners])
+    return [part_of(count, joined(runs[b"f"]), joined(runs[b"l"]))]

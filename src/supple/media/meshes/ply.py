@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -22,12 +22,11 @@ _INDICES = ("vertex_indices", "vertex_index", "vertex1", "vertex2")
 _PLACE, _NORMAL = ["x", "y", "z"], ["nx", "ny", "nz"]
 
 
-@dataclass(slots=True)
+@dataclass(frozen=True, slots=True)
 class _Element:
     name: str
     count: int
-    properties: list[tuple[str, str, str]] = field(default_factory=list)
-    """Names, dtypes, and of lists the dtype of their length, in order."""
+    properties: list[tuple[str, str, str]]  # names, dtypes, and of lists the dtype of their length, in order
 
     @property
     def kinds(self) -> dict[str, str]:
@@ -47,32 +46,33 @@ def parsed(path: PathLike, data: bytes) -> meshes.Mesh:
     k = names.index("vertex")
     before, vertex, after = elements[:k], elements[k], elements[k + 1 :]
     kinds = vertex.kinds
-    for name in kinds:
-        if [other for other, *_ in vertex.properties].count(name) > 1:
-            raise unreadable(path, f"its vertices have {name} twice", "leave the name to one property")
     columns = _PLACE + (_NORMAL if set(_NORMAL) <= set(kinds) else [])
-    for name in columns:
-        if kinds.get(name) not in ("f4", "f8"):
-            found = f"the property {name} of its vertices is not of floats" if name in kinds else f"no property {name}"
-            raise unreadable(path, found, "save it with vertices of floats")
+    wrong = [name for name in columns if kinds.get(name) not in ("f4", "f8")]
+    if wrong or len(kinds) < len(vertex.properties):
+        what = f"the property {wrong[0]} of its vertices is not of floats" if wrong else "a property is there twice"
+        raise unreadable(path, what, "save it with vertices of floats")
+    if any("list" in each.kinds.values() for each in ((*before, vertex) if order else (vertex,))):
+        raise unreadable(path, "it has lists before the vertices end", "save it with vertices first, without lists")
     if order:
-        numbers = _binary(path, data, header.end(), order, before, vertex, columns)
+        skipped = sum(each.count * np.dtype(kind).itemsize for each in before for _, kind, _ in each.properties)
+        fields = [(name, order + kind) for name, kind, _ in vertex.properties]
+        numbers = meshes.in_rows(data, header.end() + skipped, vertex.count, fields, columns)
         end = numbers.end
     else:
-        numbers, end = _text(path, data, header.end(), sum(element.count for element in before), vertex, columns)
+        numbers, end = _text(path, data, header.end(), sum(each.count for each in before), vertex, columns)
     points, normals = meshes.checked(path, numbers.values[:, :3]), numbers.values[:, 3:].reshape(-1, 3)
 
     def rewritten(moved: meshes.Floats, turned: meshes.Floats) -> bytes:
         return meshes.edited(data, numbers.edits(np.hstack([moved, turned]) if len(turned) else moved))
 
     def parts() -> list[meshes.Part]:
-        rest = _Rest(path, data[end:], order)
+        rest = _Rest(data[end:], order)
         found = {element.name: rest.element(element) for element in after}
         faces, edges = found.get("face", {}), found.get("edge", {})
         polygons = faces.get("vertex_indices") or faces.get("vertex_index") or meshes.NO_RUNS
         ends = [np.asarray(edges[name][0], np.intp) for name in ("vertex1", "vertex2") if name in edges]
         lines = (np.stack(ends, axis=1), np.full(len(ends[0]), 2)) if len(ends) == 2 else meshes.NO_RUNS
-        return [meshes.part_of(path, len(points), polygons, lines)]
+        return [meshes.part_of(len(points), polygons, lines)]
 
     return meshes.Mesh(
         points, meshes.space_of(header[0]), rewritten, parts, normals, np.arange(len(normals), dtype=np.intp)
@@ -86,7 +86,7 @@ def _declared(path: PathLike, header: str) -> tuple[str, list[_Element]]:
             case ["format", known, *_] if known in _ORDERS:
                 order = _ORDERS[known]
             case ["element", name, count] if count.isdigit():
-                elements.append(_Element(name, int(count)))
+                elements.append(_Element(name, int(count), []))
             case ["property", "list", length, kind, name] if (
                 elements and {length, kind} <= set(_TYPES) and _TYPES[length][0] in "iu"
             ):
@@ -102,24 +102,10 @@ def _declared(path: PathLike, header: str) -> tuple[str, list[_Element]]:
     return order, elements
 
 
-def _binary(
-    path: PathLike, data: bytes, start: int, order: str, before: list[_Element], vertex: _Element, columns: list[str]
-) -> meshes.Numbers:
-    for element in (*before, vertex):
-        if "list" in element.kinds.values():
-            raise unreadable(path, f"{element.name} has lists before the vertices end", "save it with vertices first")
-    for element in before:
-        start += element.count * sum(np.dtype(kind).itemsize for _, kind, _ in element.properties)
-    fields = [(name, order + kind) for name, kind, _ in vertex.properties]
-    return meshes.in_rows(path, data, start, vertex.count, fields, columns, "vertices")
-
-
 def _text(
     path: PathLike, data: bytes, start: int, skipped: int, vertex: _Element, columns: list[str]
 ) -> tuple[meshes.Numbers, int]:
     """Return the columns of vertices, which follow so many rows of other elements, and where they end."""
-    if "list" in vertex.kinds.values():
-        raise unreadable(path, "its vertices have lists", "save it without these")
     places, spans, rows = [list(vertex.kinds).index(name) for name in columns], [], 0
     for line in data[start:].splitlines(keepends=True):
         if rows == skipped + vertex.count:
@@ -134,14 +120,14 @@ def _text(
         start += len(line)
     if rows < skipped + vertex.count:
         raise unreadable(path, f"it ends before its {vertex.count} vertices do")
-    return meshes.in_text(path, data, spans, len(columns)), start
+    return meshes.in_text(data, spans, len(columns)), start
 
 
 class _Rest:
     """The elements behind the vertices, which are read one after the other."""
 
-    def __init__(self, path: PathLike, data: bytes, order: str) -> None:
-        self.path, self.order, self.at = path, order, 0
+    def __init__(self, data: bytes, order: str) -> None:
+        self.order, self.at = order, 0
         self.held: Any = data if order else data.split()
 
     def element(self, known: _Element) -> dict[str, meshes.Runs]:
@@ -174,15 +160,9 @@ class _Rest:
 
     def _taken(self, name: str, many: int, kind: str) -> list[Any]:
         """Return values of a property, or of the length of a list; of text, only these and indices."""
-        size = np.dtype(kind).itemsize if self.order else 1
-        start, self.at = self.at, self.at + many * size
+        start, self.at = self.at, self.at + many * (np.dtype(kind).itemsize if self.order else 1)
         if many < 0 or self.at > len(self.held):
-            raise unreadable(self.path, "it ends before its faces do")
+            raise ValueError("it ends before its faces do")
         if self.order:
             return list(np.frombuffer(self.held, self.order + kind, many, start).tolist())
-        if name and name not in _INDICES:
-            return []
-        try:
-            return [int(word) for word in self.held[start : self.at]]
-        except ValueError:
-            raise unreadable(self.path, "a face has what is no whole number") from None
+        return [int(word) for word in self.held[start : self.at]] if not name or name in _INDICES else []

@@ -9,7 +9,6 @@ import copy
 import datetime
 import io
 import warnings
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -18,8 +17,8 @@ from supple.errors import SuppleError, VolumeWarning, said, shown
 from supple.media.files import PathLike, unreadable
 from supple.media.meshes import Floats, Mesh, Part, checked, joined, part_of
 from supple.media.volume import Volume
-from supple.media.volume.derived import WARNING, ended, reference_to, series_number
-from supple.media.volume.frames import frames_of, imported
+from supple.media.volume.derived import WARNING, ended, new_uid, reference_to, series_number
+from supple.media.volume.frames import dataset, frames_of, head_of, imported, without
 
 _STRUCTURES = "1.2.840.10008.5.1.4.1.1.481.3"
 _STUDY = "1.2.840.10008.3.1.2.3.1"  # the class of studies, which is retired, and still what is given here
@@ -41,12 +40,12 @@ def parsed(path: PathLike, data: bytes, series: Volume | None = None) -> Mesh:
 
     With a ``series`` of DICOM, what is written refers to it, and each contour to its slice.
     """
-    pydicom = imported("structure sets of DICOM")
+    pydicom = imported()
     try:
-        dataset = pydicom.dcmread(io.BytesIO(data))
-        whole = all(_is_whole(dataset.get_item(tag)) for tag in dataset.keys())  # noqa: SIM118, not a dict
-        kind = str(dataset.get("SOPClassUID", ""))
-        blocks = [np.array(contour.ContourData, np.float64) for contour in _contours(dataset)]
+        read = pydicom.dcmread(io.BytesIO(data))
+        whole = all(_is_whole(read.get_item(tag)) for tag in read.keys())  # noqa: SIM118, not a dict
+        kind = str(read.get("SOPClassUID", ""))
+        blocks = [np.array(contour.ContourData, np.float64) for contour in _contours(read)]
     except Exception as error:  # pydicom has many
         raise unreadable(path, f"it is no whole DICOM file ({said(error)[:120]})") from error
     if not whole:
@@ -66,23 +65,23 @@ def parsed(path: PathLike, data: bytes, series: Volume | None = None) -> Mesh:
         off: list[float] = []
         for contour, new, old in zip(_contours(made), np.split(moved, ends), np.split(points, ends), strict=False):
             if (new != old).any():
-                off.append(_move(contour, new, old, pydicom.valuerep.DSfloat))
+                off.append(_move(contour, new, old))
         if bent := [far for far in off if far]:
             text = f"{len(bent)} of {len(ends)} contours of {name} leave their planes, by up to {max(bent):.2g} mm"
             told = "closed ones stay CLOSED_PLANAR, and a program may take each for flat"
             warnings.warn(f"{text}: {told}", VolumeWarning, stacklevel=4)
         held = io.BytesIO()
         try:
-            _renew(made, pydicom)
+            _renew(made)
             if series is not None:
-                _refer(made, series, pydicom)
+                _refer(made, series)
             pydicom.dcmwrite(held, made, enforce_file_format=True)
         except Exception as error:
             told = f"cannot write the contours of {name}: pydicom refuses ({said(error)[:120]})"
             raise SuppleError(f"{told}: mend that file") from error
         return held.getvalue()
 
-    return Mesh(points, "LPS", rewritten, lambda: _parts(path, dataset, len(points)))
+    return Mesh(points, "LPS", rewritten, lambda: _parts(read, len(points)))
 
 
 def _is_whole(raw: Any) -> bool:
@@ -91,16 +90,16 @@ def _is_whole(raw: Any) -> bool:
     return length in (None, 0xFFFFFFFF) or len(raw.value or b"") >= length
 
 
-def _contours(dataset: Any) -> list[Any]:
-    regions = dataset.get("ROIContourSequence") or []
+def _contours(read: Any) -> list[Any]:
+    regions = read.get("ROIContourSequence") or []
     every = (contour for region in regions for contour in region.get("ContourSequence") or [])
     return [contour for contour in every if contour.get("ContourData")]
 
 
-def _parts(path: PathLike, dataset: Any, count: int) -> list[Part]:
+def _parts(read: Any, count: int) -> list[Part]:
     """Return the contours of each region, closed where they are closed, in the colour of the region."""
     made, begin = [], 0
-    for region in dataset.get("ROIContourSequence") or []:
+    for region in read.get("ROIContourSequence") or []:
         runs: list[list[int]] = []
         for contour in region.get("ContourSequence") or []:
             if not contour.get("ContourData"):
@@ -113,19 +112,17 @@ def _parts(path: PathLike, dataset: Any, count: int) -> list[Part]:
         shades = [int(shade) / 255 for shade in region.get("ROIDisplayColor") or ()]
         good = len(shades) == 3 and 0 <= min(shades) <= max(shades) <= 1
         colour = (shades[0], shades[1], shades[2]) if good else None
-        made.append(part_of(path, count, lines=joined(runs), colour=colour))
+        made.append(part_of(count, lines=joined(runs), colour=colour))
     return made
 
 
-def _move(contour: Any, new: Floats, old: Floats, decimal: Any) -> float:
+def _move(contour: Any, new: Floats, old: Floats) -> float:
     """Move a contour; return how far its points now lie from a plane if they are no longer in one, otherwise 0.
 
     DICOM has open contours out of a plane, and no closed ones; programs fill what is closed, and leave out the rest.
     """
-    for name in _STALE:
-        if name in contour:
-            delattr(contour, name)
-    known = list(contour.ContourData)
+    without(contour, _STALE)
+    decimal, known = imported().valuerep.DSfloat, list(contour.ContourData)
     values = [
         before if kept else decimal(float(value) + 0.0, auto_format=True)
         for before, value, kept in zip(known, new.ravel().tolist(), (new == old).ravel().tolist(), strict=True)
@@ -142,18 +139,16 @@ def _move(contour: Any, new: Floats, old: Floats, decimal: Any) -> float:
     return off if off > _FLAT else 0.0
 
 
-def _renew(made: Any, pydicom: Any) -> None:
+def _renew(made: Any) -> None:
     """Make a structure set one of its own, with the source as its predecessor."""
-    source = reference_to(pydicom, made)
+    source = reference_to(made)
     made.remove_private_tags()
     regions = made.get("StructureSetROISequence") or []
     for part in (made, *regions, *(made.get("ReferencedFrameOfReferenceSequence") or [])):
-        for name in _STALE_SET:
-            if name in part:
-                delattr(part, name)
+        without(part, _STALE_SET)
     now = datetime.datetime.now()
     made.PredecessorStructureSetSequence = [source]
-    made.SOPInstanceUID, made.SeriesInstanceUID = (pydicom.uid.generate_uid(prefix=None) for _ in range(2))
+    made.SOPInstanceUID, made.SeriesInstanceUID = new_uid(), new_uid()
     made.SeriesNumber = series_number(made)
     made.SeriesDescription = ended(str(made.get("SeriesDescription") or ""), f"bent, {WARNING}")
     made.StructureSetDescription = f"Bent by Supple, a non-rigid deformation. {WARNING}"
@@ -163,24 +158,25 @@ def _renew(made: Any, pydicom: Any) -> None:
         made.ApprovalStatus = "UNAPPROVED"
     made.file_meta.MediaStorageSOPInstanceUID = made.SOPInstanceUID
     explicit = not made.file_meta.TransferSyntaxUID.is_implicit_VR
-    if explicit and any(_size(contour.ContourData) > _LONG for contour in _contours(made)):
-        made.file_meta.TransferSyntaxUID = pydicom.uid.ImplicitVRLittleEndian
+    if explicit and any(
+        sum(len(str(value)) + 1 for value in contour.ContourData) > _LONG for contour in _contours(made)
+    ):
+        made.file_meta.TransferSyntaxUID = imported().uid.ImplicitVRLittleEndian
 
 
-def _refer(made: Any, series: Volume, pydicom: Any) -> None:
+def _refer(made: Any, series: Volume) -> None:
     """Refer to the slices of a series, or the frames of a file; of each contour, to the slice that it is nearest to."""
     many, count = isinstance(series.header, str), series.sizes[2]
-    heads = [pydicom.dcmread(name, stop_before_pixels=True) for name in ([series.header] if many else series.header)]
+    heads = [head_of(name) for name in ([series.header] if many else series.header)]
     places = frames_of(series.header).places if many else None
     frame = heads[0].get("FrameOfReferenceUID") or next(
         (one.get("FrameOfReferenceUID") for one in made.get("ReferencedFrameOfReferenceSequence") or ()), None
     )
-    slices = [reference_to(pydicom, head) for head in heads[: 1 if many else count]]
-    referred, study, where = pydicom.Dataset(), pydicom.Dataset(), pydicom.Dataset()
-    referred.SeriesInstanceUID, referred.ContourImageSequence = heads[0].SeriesInstanceUID, slices
-    study.ReferencedSOPClassUID, study.ReferencedSOPInstanceUID = _STUDY, heads[0].StudyInstanceUID
+    slices = [reference_to(head) for head in heads[: 1 if many else count]]
+    referred = dataset(SeriesInstanceUID=heads[0].SeriesInstanceUID, ContourImageSequence=slices)
+    study = dataset(ReferencedSOPClassUID=_STUDY, ReferencedSOPInstanceUID=heads[0].StudyInstanceUID)
     study.RTReferencedSeriesSequence = [referred]
-    where.FrameOfReferenceUID, where.RTReferencedStudySequence = frame, [study]
+    where = dataset(FrameOfReferenceUID=frame, RTReferencedStudySequence=[study])
     made.StudyInstanceUID, made.ReferencedFrameOfReferenceSequence = heads[0].StudyInstanceUID, [where]
     if "FrameOfReferenceUID" in made:
         made.FrameOfReferenceUID = frame
@@ -197,7 +193,3 @@ def _refer(made: Any, series: Volume, pydicom: Any) -> None:
             at = series.geometry.to_lps((0.0, 0.0, k))
             one.ReferencedFrameNumber = 1 + (k if places is None else int(((places - at) ** 2).sum(axis=1).argmin()))
         contour.ContourImageSequence = [one]
-
-
-def _size(values: Sequence[Any]) -> int:
-    return sum(len(str(value)) + 1 for value in values)

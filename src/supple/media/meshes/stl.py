@@ -21,7 +21,7 @@ def parsed(path: PathLike, data: bytes) -> Mesh:
     size = _HEAD + count * np.dtype(_FACET).itemsize
     text = data.lstrip()[:5].lower() == b"solid"
     if len(data) >= _HEAD and (len(data) == size or (len(data) > size and not text)):
-        facets, head = in_rows(path, data, _HEAD, count, _FACET, ["numbers"], "facets"), data[:80]
+        facets, head = in_rows(data, _HEAD, count, _FACET, ["numbers"]), data[:80]
     elif text:
         found = list(_TRIPLE.finditer(data))
         words = "".join(chr(match[1][0] | 32) for match in found)  # in small letters
@@ -30,7 +30,7 @@ def parsed(path: PathLike, data: bytes) -> Mesh:
         if len(found) and not re.search(rb"endsolid\b[^\n]*\s*\Z", data, re.IGNORECASE):
             raise unreadable(path, "its end is missing")
         spans = [match.span(k) for match in found for k in (2, 3, 4)]
-        facets, head = in_text(path, data, spans, 12), data.partition(b"\n")[0]
+        facets, head = in_text(data, spans, 12), data.partition(b"\n")[0]
     else:
         raise unreadable(path, f"its {len(data)} bytes are not the {size} of {count} facets")
     before = facets.values
@@ -48,7 +48,7 @@ def parsed(path: PathLike, data: bytes) -> Mesh:
         return edited(data, facets.edits(made))
 
     runs = which, np.full(len(which) // 3, 3)
-    return Mesh(points, space_of(head), rewritten, lambda: [part_of(path, len(points), runs)])
+    return Mesh(points, space_of(head), rewritten, lambda: [part_of(len(points), runs)])
 
 
 def _distinct(corners: Floats) -> tuple[Floats, np.typing.NDArray[np.intp]]:
@@ -56,6 +56,4 @@ def _distinct(corners: Floats) -> tuple[Floats, np.typing.NDArray[np.intp]]:
     rows = np.ascontiguousarray(corners).view(np.dtype((np.void, 24))).ravel()
     _, first, which = np.unique(rows, return_index=True, return_inverse=True)
     order = np.argsort(first)  # as they come in the file
-    place = np.empty_like(order)
-    place[order] = np.arange(len(order))
-    return corners[first[order]], place[which.ravel()]
+    return corners[first[order]], np.argsort(order)[which.ravel()]

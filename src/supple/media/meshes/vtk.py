@@ -17,10 +17,9 @@ _POINTS = re.compile(rb"(?:^|\n)POINTS\s+(\d+)\s+(\w+)[ \t]*\r?\n")
 _POINT_DATA, _CELL_DATA = re.compile(rb"\nPOINT_DATA\s+\d+\s*?\n"), re.compile(rb"\nCELL_DATA\s+\d+\s*?\n")
 _NORMALS = re.compile(rb"(?:^|\n)NORMALS\s+\S+\s+(\w+)[ \t]*\r?\n")
 _RANGE = re.compile(rb"\s*METADATA\b.{,400}?NAME L2_NORM_RANGE LOCATION vtkDataArray\nDATA 2 (\S+ \S+)", re.DOTALL)
-_KINDS = {b"float": ">f4", b"double": ">f8"}
 _CELLS = re.compile(rb"(?:^|\n)(POLYGONS|LINES|TRIANGLE_STRIPS)\s+(\d+)\s+(\d+)[ \t]*\r?\n")
-_OFFSETS = re.compile(rb"\s*(OFFSETS|CONNECTIVITY)\s+(\w+)[ \t]*\r?\n")  # from version 5 on
-_WHOLE = {b"vtktypeint64": ">i8", b"vtktypeint32": ">i4", b"int": ">i4"}
+_OFFSETS = re.compile(rb"\s*(?:OFFSETS|CONNECTIVITY)\s+(\w+)[ \t]*\r?\n")  # from version 5 on
+_KINDS = {b"float": ">f4", b"double": ">f8", b"vtktypeint64": ">i8", b"vtktypeint32": ">i4", b"int": ">i4"}
 
 
 def parsed(path: PathLike, data: bytes) -> meshes.Mesh:
@@ -54,72 +53,41 @@ def parsed(path: PathLike, data: bytes) -> meshes.Mesh:
     def parts() -> list[meshes.Part]:
         runs, place = dict.fromkeys((b"POLYGONS", b"LINES", b"TRIANGLE_STRIPS"), meshes.NO_RUNS), points.end - 1
         while found := _CELLS.search(data, place):
-            runs[found[1]], place = _runs(path, data, found, binary)
-        polygons, lines, strips = runs.values()
-        return [meshes.part_of(path, len(points.values), polygons, lines, strips)]
+            runs[found[1]], place = _runs(data, found, binary)
+        return [meshes.part_of(len(points.values), *runs.values())]
 
     at = np.arange(len(normals.values), dtype=np.intp)
     return meshes.Mesh(points.values, meshes.space_of(head[1]), rewritten, parts, normals.values, at)
 
 
-def noted(data: bytes, name: str, values: meshes.Floats) -> bytes:
-    """Return a file with one array of its points more, as field data, behind those that it has."""
-    head = _HEAD.match(data)
-    binary = head is not None and head[2].upper() == b"BINARY"
-    section = _POINT_DATA.search(data)
-    after = _CELL_DATA.search(data, section.end()) if section else None
-    place = after.start() if after else len(data)
-    numbers = values.astype(">f8").tobytes() if binary else b" ".join(b"%.3g" % x for x in values.tolist())
-    start = b"" if section else b"POINT_DATA %d\n" % len(values)
-    more = b"FIELD FieldData 1\n%b 1 %d double\n%b\n" % (name.encode(), len(values), numbers)
-    gap = b"" if data[:place].endswith(b"\n") else b"\n"
-    return meshes.edited(data, [(place, place, gap + start + more)])
-
-
-def _runs(path: PathLike, data: bytes, found: re.Match[bytes], binary: bool) -> tuple[meshes.Runs, int]:
+def _runs(data: bytes, found: re.Match[bytes], binary: bool) -> tuple[meshes.Runs, int]:
     """Return cells, and where they end: corners behind their number, or apart from offsets."""
     first, second = int(found[2]), int(found[3])
-    named = _OFFSETS.match(data, found.end())
-    if named is None:
-        numbers, end = _whole(path, data, found.end(), second, b"int", binary)
-        counts, k = [], 0
-        for _ in range(first):
-            if k >= second:
-                raise unreadable(path, f"it ends before its {first} cells do")
-            counts.append(int(numbers[k]))
-            if counts[-1] < 0:
-                raise unreadable(path, f"a cell has {counts[-1]} corners")
-            k += counts[-1] + 1
-        heads = np.cumsum([0, *(count + 1 for count in counts)])[:-1]
-        return (np.delete(numbers, heads), counts), end
-    offsets, end = _whole(path, data, named.end(), first, named[2], binary)
-    named = _OFFSETS.match(data, end)
-    if named is None:
-        raise unreadable(path, f"it ends before its {first} cells do")
-    corners, end = _whole(path, data, named.end(), second, named[2], binary)
-    return (corners, np.diff(offsets)), end
+    if named := _OFFSETS.match(data, found.end()):
+        offsets, end = _whole(data, named.end(), first, named[1], binary)
+        if (named := _OFFSETS.match(data, end)) is None:
+            raise ValueError("its cells have offsets alone")
+        corners, end = _whole(data, named.end(), second, named[1], binary)
+        return (corners, np.diff(offsets)), end
+    numbers, end = _whole(data, found.end(), second, b"int", binary)
+    heads = [0]
+    for _ in range(first):
+        heads.append(heads[-1] + int(numbers[heads[-1]]) + 1)
+    return (np.delete(numbers, heads[:-1]), np.diff(heads) - 1), end
 
 
-def _whole(path: PathLike, data: bytes, start: int, count: int, kind: bytes, binary: bool) -> tuple[meshes.Ints, int]:
-    if kind.lower() not in _WHOLE:
-        raise unreadable(path, f"its cells are of type {shown(kind.decode(errors='replace'))}")
+def _whole(data: bytes, start: int, count: int, kind: bytes, binary: bool) -> tuple[meshes.Ints, int]:
     if binary:
-        dtype = np.dtype(_WHOLE[kind.lower()])
-        end = start + count * dtype.itemsize
-        if end > len(data):
-            raise unreadable(path, f"it ends before its {count} cells do")
-        return np.frombuffer(data, dtype, count, start).astype(np.intp), end
-    spans = meshes.tokens(path, data, start, count, f"{count} cells")
-    try:
-        return np.array([int(data[a:b]) for a, b in spans], np.intp), spans[-1][1] if spans else start
-    except (ValueError, OverflowError):
-        raise unreadable(path, "a cell has what is no whole number of 64 bits") from None
+        numbers = np.frombuffer(data, _KINDS[kind.lower()], count, start)
+        return numbers.astype(np.intp), start + numbers.nbytes
+    spans = meshes.tokens(data, start, count)
+    return np.array([int(data[a:b]) for a, b in spans], np.intp), spans[-1][1] if spans else start
 
 
 def _vectors(path: PathLike, data: bytes, start: int, count: int, kind: bytes, binary: bool) -> meshes.Numbers:
-    if kind.lower() not in _KINDS:
+    if kind.lower() not in (b"float", b"double"):
         found = f"its vectors are of type {shown(kind.decode(errors='replace'))}"
         raise unreadable(path, found, "save it with float or double")
     if binary:
-        return meshes.in_rows(path, data, start, count, [("vector", _KINDS[kind.lower()], 3)], ["vector"], "vectors")
-    return meshes.in_text(path, data, meshes.tokens(path, data, start, 3 * count, f"{count} vectors"), 3, start)
+        return meshes.in_rows(data, start, count, [("vector", _KINDS[kind.lower()], 3)], ["vector"])
+    return meshes.in_text(data, meshes.tokens(data, start, 3 * count), 3, start)

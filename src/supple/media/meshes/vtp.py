@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import base64
-import binascii
-import contextlib
 import lzma
 import re
 import zlib
@@ -17,12 +15,11 @@ import numpy.typing as npt
 
 from supple.errors import shown
 from supple.media import meshes
-from supple.media.files import PathLike, refusing, unreadable
+from supple.media.files import PathLike, unreadable
 
 _ROOT = re.compile(rb"<VTKFile\b([^>]*)>")
 _PIECE = re.compile(rb"<Piece\b.*?</Piece\s*>", re.DOTALL)
 _ARRAY = re.compile(rb"<(DataArray|Array)\b([^>]*?)(/>|>(.*?)</\1\s*>)", re.DOTALL)
-_POINT_DATA = re.compile(rb"<PointData\b([^>]*?)(/>|>(.*?)</PointData\s*>)", re.DOTALL)
 _KEY = re.compile(rb"\s*<InformationKey\b.*?</InformationKey\s*>", re.DOTALL)
 _NOTED = rb'\s+Range(?:Min|Max)="[^"]*"|\s*<InformationKey name="L2_NORM(?:_FINITE)?_RANGE".*?</InformationKey\s*>'
 _RANGE = re.compile(_NOTED, re.DOTALL)
@@ -59,7 +56,7 @@ class _File:
             wide = many if raw else -(-many // 3) * 4
             part = self.data[at : at + wide]
             if len(part) < wide:
-                raise unreadable(self.path, "it ends before its arrays do")
+                raise ValueError("it ends before its arrays do")
             return part if raw else base64.b64decode(part, validate=True), at + wide
 
         if self.codec is None:
@@ -128,18 +125,6 @@ def parsed(path: PathLike, data: bytes) -> meshes.Mesh:
     xml = data[: appended.start() if appended else None]
     if not appended and b"</VTKFile" not in xml:
         raise unreadable(path, "its end is missing")
-    with _damage(path):
-        return _read(file, xml)
-
-
-_DAMAGE = (binascii.Error, zlib.error, lzma.LZMAError, ValueError, OverflowError)
-
-
-def _damage(path: PathLike) -> contextlib.AbstractContextManager[None]:
-    return refusing(lambda error: unreadable(path, f"an array is damaged ({error})"), *_DAMAGE)
-
-
-def _read(file: _File, xml: bytes) -> meshes.Mesh:
     pieces = list(_PIECE.finditer(xml))
     points, normals, at, base = [], [], [], 0
     for piece in pieces:
@@ -166,37 +151,13 @@ def _read(file: _File, xml: bytes) -> meshes.Mesh:
                     edits += array.edits(file, part)
         return meshes.edited(file.data, [*edits, *_offsets(file, edits)])
 
-    def parts() -> list[meshes.Part]:
-        with _damage(file.path):
-            return [_part(file, pieces, [len(values) for _, values in points])]
-
     vertices = meshes.checked(file.path, np.concatenate([values for _, values in points]) if points else [])
     vectors = np.concatenate([np.zeros((0, 3)), *(values for _, values in normals)])
+    counts = [len(values) for _, values in points]
     return meshes.Mesh(
-        vertices, _space(file, xml), rewritten, parts, vectors, np.concatenate([np.zeros(0, np.intp), *at])
-    )
-
-
-def noted(data: bytes, name: str, values: meshes.Floats) -> bytes:
-    """Return a file with one array of its points more, or that of its name anew."""
-    appended, first = _APPENDED.search(data), 0
-    edits: list[meshes.Edit] = []
-    for piece in _PIECE.finditer(data[: appended.start() if appended else None]):
-        count = int(_attributes(piece[0][: piece[0].index(b">")]).get("NumberOfPoints", "0"))
-        text = b" ".join(b"%.3g" % x for x in values[first : first + count].tolist())
-        array = b'<DataArray type="Float64" Name="%b" format="ascii">%b</DataArray>\n' % (name.encode(), text)
-        first, section = first + count, _POINT_DATA.search(piece[0])
-        if section is None:
-            place = piece.start() + piece[0].rindex(b"</")
-            edits.append((place, place, b"<PointData>%b</PointData>\n" % array))
-        elif section[2] == b"/>":
-            edits.append((piece.start() + section.start(2), piece.start() + section.end(), b">%b</PointData>" % array))
-        else:
-            known = [a for a in _ARRAY.finditer(section[3]) if _attributes(a[2]).get("Name") == name]
-            inner = piece.start() + section.start(3)
-            edits += [(inner + a.start(), inner + a.end(), b"") for a in known]
-            edits.append((inner + len(section[3]), inner + len(section[3]), array))
-    return meshes.edited(data, edits)
+        vertices, _space(file, xml), rewritten, lambda: [_part(file, pieces, counts)], vectors,
+        np.concatenate([np.zeros(0, np.intp), *at]),
+    )  # fmt: skip
 
 
 def _part(file: _File, pieces: list[re.Match[bytes]], counts: list[int]) -> meshes.Part:
@@ -214,8 +175,7 @@ def _part(file: _File, pieces: list[re.Match[bytes]], counts: list[int]) -> mesh
                 corners.append(base + arrays["connectivity"])
                 many.append(np.diff(arrays["offsets"], prepend=0))
         runs.append((np.concatenate(corners), np.concatenate(many)) if corners else meshes.NO_RUNS)
-    polygons, lines, strips = runs
-    return meshes.part_of(file.path, sum(counts), polygons, lines, strips)
+    return meshes.part_of(sum(counts), *runs)
 
 
 def _attributes(text: bytes) -> dict[str, str]:
@@ -253,7 +213,7 @@ def _array(file: _File, found: re.Match[bytes]) -> _Array:
         return _Array(known, np.zeros(0, dtype), tag, found.end(), found.end())
     start, end = spans[0][0], spans[-1][1]
     if known["format"] == "ascii" and dtype.kind == "f":
-        text = meshes.in_text(file.path, file.data, spans, 1)
+        text = meshes.in_text(file.data, spans, 1)
         return _Array(known, text.values.ravel(), tag, start, end, text=text)
     if known["format"] == "ascii":
         return _Array(known, np.array([int(file.data[a:b]) for a, b in spans], dtype), tag, start, end)

@@ -7,13 +7,14 @@ displacements of volumes are in millimetres in LPS, those of pictures in pixels.
 from __future__ import annotations
 
 import os
+import struct
 from collections.abc import Callable, Sequence
 from functools import partial
 from types import ModuleType
 from typing import NamedTuple
 
-from supple.errors import SuppleError, argument, shown
-from supple.media.files import PathLike, head_of, unreadable, unwritable
+from supple.errors import SuppleError, argument, said, shown
+from supple.media.files import PathLike, head_of, refusing, unreadable, unwritable
 from supple.media.image.formats import SUFFIXES as PICTURES
 from supple.media.suffixes import CLIPS
 from supple.media.transforms import affines, base, fields, itk, ngff, pictures
@@ -59,38 +60,38 @@ def _form(module: ModuleType, name: str, suffixes: tuple[str, ...]) -> Form:
     return Form(suffixes, partial(module.read, convention=name), partial(module.write, convention=name))
 
 
-def _field(name: str, label: str, holds: str, space: str, *more: str) -> Convention:
+def _field(name: str, label: str, *more: str) -> Convention:
     """Return a convention of fields in millimetres, in NIfTI files and those of more suffixes."""
-    return Convention(label, holds, space, "mm", (_form(fields, name, (*fields.NIFTI, *more)),))
+    kind = fields.VECTORS[name]
+    space = "FSL coordinates of the input image" if kind.space == "FSL" else kind.space
+    forms = (_form(fields, name, (*fields.NIFTI, *more)),)
+    return Convention(label, "positions" if kind.absolute else "displacements", space, "mm", forms)
 
 
-_FSL = "FSL coordinates of the input image"
 _BOTH = "positions or displacements"
 _LTA = _form(affines, "freesurfer", (".lta",))
-_AFNI = _field("afni", "AFNI", "displacements", "LPS", *fields.DATASETS)
+_AFNI = _field("afni", "AFNI", *fields.DATASETS)
 CONVENTIONS = {
     "itk": Convention(
         "ITK", "displacements", "LPS", "mm", (Form((*itk.TRANSFORMS, *itk.IMAGES), itk.read, itk.write),)
     ),
-    "fsl-relative": _field("fsl-relative", "FSL, relative", "displacements", _FSL),
-    "fsl-absolute": _field("fsl-absolute", "FSL, absolute", "positions", _FSL),
+    "fsl-relative": _field("fsl-relative", "FSL, relative"),
+    "fsl-absolute": _field("fsl-absolute", "FSL, absolute"),
     "fsl-affine": Convention(
         "FSL's FLIRT", "positions", "FSL coordinates of both images", "mm",
         (_form(affines, "fsl-affine", affines.SUFFIXES),), PUSH,
     ),
     "afni": _AFNI._replace(forms=(*_AFNI.forms, _form(affines, "afni", (".aff12.1d", ".1d")))),
-    "mrtrix": _field("mrtrix", "MRtrix, deformation", "positions", "RAS", *fields.MIF),
-    "mrtrix-displacement": _field(
-        "mrtrix-displacement", "MRtrix, displacement", "displacements", "RAS", *fields.MIF
-    ),
+    "mrtrix": _field("mrtrix", "MRtrix, deformation", *fields.MIF),
+    "mrtrix-displacement": _field("mrtrix-displacement", "MRtrix, displacement", *fields.MIF),
     "freesurfer": Convention(
         "FreeSurfer", _BOTH, "RAS", "mm",
         # warps are only read
         (_LTA, _form(fields, "freesurfer", (*fields.MGZ, *fields.MORPHS))._replace(write=_LTA.write)), PUSH,
         ("positions", "RAS", "mm"),
     ),
-    "niftyreg": _field("niftyreg", "NiftyReg", _BOTH, "RAS")._replace(written=("positions", "RAS", "mm")),
-    "spm-deformation": _field("spm-deformation", "SPM", "positions", "RAS"),
+    "niftyreg": _field("niftyreg", "NiftyReg")._replace(holds=_BOTH, written=("positions", "RAS", "mm")),
+    "spm-deformation": _field("spm-deformation", "SPM"),
     "ngff": Convention(
         "OME-Zarr", "displacements or positions", "LPS, or as its axes say", "mm, or as its axes say",
         (Form(ngff.SUFFIXES, ngff.read, ngff.write),), PULL, ("displacements", "LPS", "mm"),
@@ -106,9 +107,8 @@ CONVENTIONS = {
 }  # fmt: skip
 """By their names: in memory, all are displacements in millimetres in LPS, or in pixels."""
 _SUFFIXES = tuple({suffix for row in CONVENTIONS.values() for form in row.forms for suffix in form.suffixes})
-_NUMBERS = "its numbers may be positions, as of OpenCV's maps, or displacements", "if they are positions"
-_PICTURE = "it may be an STMap, or any other picture", "if it is one"
-_DOUBTFUL = {**dict.fromkeys((".npy", ".npz"), _NUMBERS), **dict.fromkeys((".tif", ".tiff", ".png"), _PICTURE)}
+_DOUBTFUL = dict.fromkeys((".npy", ".npz"), "a map of positions, as of OpenCV's")
+_DOUBTFUL |= dict.fromkeys((".tif", ".tiff", ".png"), "an STMap")
 """What holds maps of one convention, and as often something else: the convention is given."""
 _WARPS = (2006, 2018)  # intent codes of FNIRT and topup
 _COLOURS = (128, 2304)  # the datatypes RGB24 and RGBA32 of NIfTI
@@ -153,11 +153,10 @@ def _candidates(path: PathLike, verb: str) -> tuple[str, ...]:
     doubtful = suffix in _DOUBTFUL and (verb == "read" or suffix in PICTURES)
     if (doubtful or not names) and verb == "read" and not os.path.exists(path):
         raise unreadable(path, "No such file or directory", "check the name and its rights")
-    if doubtful and verb == "read":
-        what, fits = _DOUBTFUL[suffix]
-        raise unreadable(path, what, f"give {argument('convention', names[0])} {fits}")
     if doubtful:
-        raise unwritable(path, "a picture is not always an STMap", f"give the convention: {names[0]}")
+        raise refused(
+            path, f"it is not always {_DOUBTFUL[suffix]}", f"give {argument('convention', names[0])} if it is"
+        )
     if not names and (suffix in CLIPS or suffix in PICTURES):
         what = f"the suffix {suffix} is of a {'clip' if suffix in CLIPS else 'picture'}, and of no field"
         raise refused(path, what, "name a file of a field or of an affine map")
@@ -213,7 +212,10 @@ def read(
     the file holds no such map.
     """
     name = convention_in(path) if convention is None else convention
-    contents = form_of(path, name).read(path, base.Grids(source, reference))
+    form, what = form_of(path, name), f"it is damaged, or no file of the convention {name}"
+    kinds = ValueError, LookupError, OverflowError, struct.error
+    with refusing(lambda error: unreadable(path, f"{what} ({said(error)})", "check its name and convention"), *kinds):
+        contents = form.read(path, base.Grids(source, reference))
     if any(isinstance(each, Displacements) and each.grid.shear for each in contents):
         raise unreadable(path, "the axes of its grid are not at right angles to each other", "resample it first")
     return contents

@@ -12,7 +12,6 @@ import numpy.typing as npt
 from supple.media.files import PathLike, head_of, replacing, unreadable, unwritable
 from supple.media.transforms import base
 
-_NAMES = {"fsl-affine": "a matrix of FLIRT", "afni": "a matrix of AFNI", "freesurfer": "a .lta file"}
 SUFFIXES = (".mat", ".txt")
 """Of FLIRT; ITK has transforms of these suffixes too."""
 _MOST = 1 << 20  # bytes
@@ -28,17 +27,12 @@ def read(path: PathLike, grids: base.Grids, *, convention: str) -> tuple[base.Co
         base.check_plumb(path, grids)
     head = head_of(path, _MOST)
     base.check_text(path, head[: base.TEXT])
-    try:
-        text = head.decode("utf-8")
-    except UnicodeDecodeError as error:
-        what = f"it is no text, and {_NAMES[convention]} is"
-        raise unreadable(path, what, "check its name and its convention") from error
-    lines = [line for line in (re.sub("#.*", "", line).strip() for line in text.splitlines()) if line]
+    lines = [line for line in (re.sub("#.*", "", line).strip() for line in head.decode().splitlines()) if line]
     if convention == "afni":
-        return (_numbers(path, lines, 3, convention),)
+        return (_numbers(path, lines, 3),)
     if convention == "freesurfer":
         return (base.check_matrix(path, base.LPS @ base.inverse(_lta(path, lines)) @ base.LPS),)
-    matrix = base.inverse(_numbers(path, lines, 4, convention))
+    matrix = base.inverse(_numbers(path, lines, 4))
     here, there = (base.coordinates("FSL", grids.needed(path, name, convention)) for name in ("source", "reference"))
     return (base.inverse(here) @ matrix @ there,)
 
@@ -51,18 +45,14 @@ def write(
         base.check_plumb(path, grids, "write")
     if convention == "freesurfer" and not os.fspath(path).lower().endswith(".lta"):
         raise unwritable(path, "of FreeSurfer's transforms, only .lta is written", "use .lta, or another convention")
-    matrix = base.only_matrix(path, contents, _NAMES[convention])
+    matrix = base.only_matrix(path, contents, convention)
     if convention == "afni":
         lines = [spelled(matrix[:3])]
     else:
         source, reference = (grids.needed(path, name, convention, "write") for name in ("source", "reference"))
         if convention == "fsl-affine":
-            made = (
-                base.coordinates("FSL", reference)
-                @ base.inverse(matrix)
-                @ base.inverse(base.coordinates("FSL", source))
-            )
-            lines = [spelled(row) for row in made]
+            here, there = (base.coordinates("FSL", grid) for grid in (source, reference))
+            lines = [spelled(row) for row in there @ base.inverse(matrix) @ base.inverse(here)]
         else:
             lines = [f"type = {_RAS}", "nxforms = 1", "mean = 0 0 0", "sigma = 1", "1 4 4"]
             lines += [spelled(row) for row in base.LPS @ base.inverse(matrix) @ base.LPS]
@@ -81,17 +71,9 @@ def spelled(numbers: npt.ArrayLike) -> str:
     return " ".join(repr(x) for x in np.asarray(numbers, np.float64).ravel().tolist())
 
 
-def _numbers(path: PathLike, lines: Sequence[str], rows: int, convention: str) -> base.Matrix:
-    try:
-        found = np.array([float(word) for word in " ".join(lines).split()], np.float64)
-    except ValueError as error:
-        what = f"it is not {_NAMES[convention]}: it holds words"
-        raise unreadable(path, what, "check its name and its convention") from error
-    if found.size != 4 * rows:
-        what = f"it holds {found.size} numbers, and {_NAMES[convention]} has {rows} x 4"
-        raise unreadable(path, what, "give a file of one affine map of volumes")
+def _numbers(path: PathLike, lines: Sequence[str], rows: int) -> base.Matrix:
     made = np.eye(4)
-    made[:rows] = found.reshape(rows, 4)
+    made[:rows] = np.array(" ".join(lines).split(), np.float64).reshape(rows, 4)
     return base.check_matrix(path, made)
 
 
@@ -105,25 +87,20 @@ def _lta(path: PathLike, lines: Sequence[str]) -> base.Matrix:
     if kind not in (_VOXELS, _RAS):
         what = f"it is of type {kind}, and 0 (voxels) and 1 (RAS) are read"
         raise unreadable(path, what, "run lta_convert --inlta and --outlta, which makes type 1")
-    matrix = _numbers(path, lines[starts[0] + 1 : starts[0] + 5], 4, "freesurfer")
+    matrix = _numbers(path, lines[starts[0] + 1 : starts[0] + 5], 4)
     if kind == _RAS:
         return matrix
-    return _volume(path, lines, "dst") @ matrix @ base.inverse(_volume(path, lines, "src"))
+    return _volume(lines, "dst") @ matrix @ base.inverse(_volume(lines, "src"))
 
 
-def _volume(path: PathLike, lines: Sequence[str], which: str) -> base.Matrix:
-    """Return the matrix from the indices of a volume to RAS, as the file describes it."""
+def _volume(lines: Sequence[str], which: str) -> base.Matrix:
+    """Return the matrix from the indices of a volume to RAS, as the file describes it; KeyError if it does not."""
     first = next((i for i, line in enumerate(lines) if line.startswith(f"{which} volume info")), len(lines))
     pairs = [line.partition("=") for line in lines[first + 1 : first + 9]]
     told = {key.strip(): text.split() for key, _, text in pairs}
-    try:
-        sizes, steps, *axes, middle = (
-            np.array([float(x) for x in told[key]]).reshape(3)
-            for key in ("volume", "voxelsize", "xras", "yras", "zras", "cras")
-        )
-        if told["valid"][:1] != ["1"]:
-            raise ValueError
-    except (KeyError, ValueError) as error:
-        what = f"it counts in voxels, and does not say how those of its {which} volume lie"
-        raise unreadable(path, what, "run lta_convert with --src and --trg") from error
+    if told["valid"][:1] != ["1"]:
+        raise ValueError(f"its {which} volume is not valid: run lta_convert with --src and --trg")
+    sizes, steps, *axes, middle = (
+        np.array(told[key], np.float64).reshape(3) for key in ("volume", "voxelsize", "xras", "yras", "zras", "cras")
+    )
     return base.centred(sizes, steps, np.stack(axes, axis=1), middle)

@@ -12,13 +12,13 @@ import numpy.typing as npt
 from supple.engine.work import Array
 from supple.errors import SuppleError, argument, shown
 from supple.media.files import PathLike, unreadable, unwritable
-from supple.media.volume.data import Volume, placed
+from supple.media.volume.data import TO_RAS, Volume, placed
 from supple.space.geometry import Grid
 
 Matrix = npt.NDArray[np.float64]
 Interpolation = Literal["linear", "cubic", "bspline"]
 
-LPS = np.diag([-1.0, -1.0, 1.0, 1.0])
+LPS = TO_RAS
 """From positions and displacements in RAS to those in LPS, and back."""
 FINITE = "give a field that is finite everywhere"
 TEXT = 1 << 14

@@ -8,24 +8,22 @@ continues a warp with the mean slope at its faces; here, as all of these, it kee
 
 from __future__ import annotations
 
-import math
 import re
 import struct
 import warnings
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import IO, Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from supple.engine.work import Array
-from supple.errors import SuppleError, VolumeWarning, shown
+from supple.errors import VolumeWarning, shown
 from supple.media.files import PathLike, head_of, replacing, unreadable, unwritable
 from supple.media.transforms import base
 from supple.media.transforms.affines import spelled
-from supple.media.volume import nifti
-from supple.media.volume.data import Volume, native, reading, too_large
+from supple.media.volume import mgh, nifti
+from supple.media.volume.data import Volume, native, reading
 from supple.space.geometry import Grid
 
 VECTOR = 1007
@@ -63,7 +61,7 @@ VECTORS = {
     "niftyreg": Vectors("RAS", True, (VECTOR,), 5, VECTOR, "NREG_TRANS", _OUTSIDE),  # its header may say displacements
     "spm-deformation": Vectors("RAS", True, (0, VECTOR), 5, VECTOR, "Mapping", _OUTSIDE),
 }
-_FREESURFER = (Vectors("voxels", True), Vectors("voxels", False), Vectors("RAS", True), Vectors("RAS", False))
+_FREESURFER = {0: Vectors("voxels", True), 1: Vectors("voxels"), 2: Vectors("RAS", True), 3: Vectors("RAS")}
 """By the number of their format."""
 
 _POSITIONS, _DISPLACEMENTS = 0, 1  # what fields of NiftyReg hold, in intent_p1
@@ -205,11 +203,6 @@ def _nifti(path: PathLike, convention: str) -> tuple[Array, Grid, Vectors]:
         except VolumeWarning as error:
             what = "its qform and its sform disagree, and programs choose between them differently"
             raise unreadable(path, what, "make them the same in its header") from error
-        except SuppleError as error:
-            if "it is no NIfTI file" not in str(error):
-                raise
-            what = f"it is no NIfTI file, and those of the convention {convention} are"
-            raise unreadable(path, what, "check its name and its convention") from error
     known, code = check_header(path, volume, convention), int(volume.header["intent_code"])
     if code not in kind.codes:
         wanted = " or ".join(map(str, kind.codes))
@@ -217,8 +210,7 @@ def _nifti(path: PathLike, convention: str) -> tuple[Array, Grid, Vectors]:
         raise unreadable(path, what, "give the convention that it has")
     if convention == "niftyreg":  # which says what it holds
         if known != convention:
-            what = f"its header does not say that it is of {convention}"
-            raise unreadable(path, what, "give the convention that it has")
+            raise unreadable(path, f"its header does not say that it is of {convention}", "give another convention")
         kind = kind._replace(absolute=int(volume.header["intent_p1"]) == _POSITIONS)
     values, grid = base.vectors_of(path, volume)
     if kind.space == "FSL":
@@ -246,17 +238,6 @@ def _dataset(path: PathLike) -> tuple[Array, Grid]:
     return native(data[..., :3].transpose(2, 1, 0, 3)), base.grid_of(path, affine, data.shape[:3])
 
 
-def _voxels(path: PathLike, file: IO[bytes], dtype: npt.DTypeLike, shape: Sequence[int]) -> Array:
-    count = np.dtype(dtype).itemsize * math.prod(shape)
-    try:
-        data = file.read(count)
-    except OverflowError as error:
-        raise too_large(path) from error
-    if len(data) < count:
-        raise unreadable(path, f"its header promises {count} bytes of voxels, and it has {len(data)}")
-    return np.frombuffer(data, dtype).reshape(shape)
-
-
 # Kept: neither nibabel nor SimpleITK reads .mif.
 def _mif(path: PathLike) -> tuple[Array, Grid]:
     with reading(path), nifti.opened(path) as file:
@@ -265,60 +246,43 @@ def _mif(path: PathLike) -> tuple[Array, Grid]:
         told: dict[str, list[str]] = {}
         for key, text in re.findall(r"(?m)^([\w ]+?):[ \t]*(.*?)[ \t]*$", header.decode("utf-8", "replace")):
             told.setdefault(key.lower(), []).append(text)
-        try:
-            x, y, z, count = (int(size) for size in told["dim"][0].split(","))
-            steps = np.array([float(step) for step in told["vox"][0].split(",")[:3]])
-            layout = told["layout"][0].split(",")
-            order = [int(axis[1:]) for axis in layout]
-            matrix = np.array([[float(number) for number in line.split(",")] for line in told["transform"]])
-            name, _, offset = told["file"][0].partition(" ")
-            begin, kind = int(offset or 0), re.fullmatch(r"float(32|64)(le|be)?", told["datatype"][0].lower())
-            good = (
-                end and start.startswith(b"mrtrix image") and matrix.shape == (3, 4) and sorted(order) == [0, 1, 2, 3]
-            )
-            if kind is None or not good or count != 3 or name != "." or "scaling" in told:
-                raise ValueError
-        except (KeyError, ValueError, IndexError) as error:
-            what = "it is damaged, or no .mif file of x, y, z and three volumes of floats, as a warp is"
-            raise unreadable(path, what, _CONVERT) from error
-        file.seek(begin)
-        dtype = f"{ {'le': '<', 'be': '>', None: '='}[kind[2]] }f{int(kind[1]) // 8}"
+        x, y, z, count = (int(size) for size in told["dim"][0].split(","))
+        steps = np.array(told["vox"][0].split(",")[:3], np.float64)
+        layout = told["layout"][0].split(",")
+        order = [int(axis[1:]) for axis in layout]
+        full = np.vstack([np.array([line.split(",") for line in told["transform"]], np.float64), np.eye(4)[3]])
+        name, _, offset = told["file"][0].partition(" ")
+        kind = re.fullmatch(r"float(32|64)(le|be)?", told["datatype"][0].lower())
+        good = (
+            end and start.startswith(b"mrtrix image") and sorted(order) == [0, 1, 2, 3] and count == 3 and name == "."
+        )
+        if kind is None or not good or "scaling" in told:
+            raise unreadable(path, "it is no .mif file of x, y, z and three volumes of floats, as a warp is", _CONVERT)
+        file.seek(int(offset or 0))
+        dtype = np.dtype(f"{ {'le': '<', 'be': '>', None: '='}[kind[2]] }f{int(kind[1]) // 8}")
         # axes in the order of the file, the fastest last; then x, y, z and component, each forwards
         kept = sorted(range(4), key=lambda axis: -order[axis])
-        whole = _voxels(path, file, dtype, [(x, y, z, count)[axis] for axis in kept])
+        whole = nifti.filled(path, file, dtype, [(x, y, z, count)[axis] for axis in kept], file.tell())
     whole = whole.transpose([kept.index(axis) for axis in (2, 1, 0, 3)])
     whole = whole[tuple(slice(None, None, -1 if layout[axis].startswith("-") else 1) for axis in (2, 1, 0, 3))]
-    full = np.vstack([matrix, np.eye(4)[3]])
     full[:3, :3] *= steps
     return native(whole), base.grid_of(path, full, (x, y, z))
 
 
-# Kept: nibabel leaves out the tags behind the voxels, which say between which images a warp leads.
 def _mgz(path: PathLike) -> tuple[Array, Grid, Vectors, Grid]:
     """Return the vectors of a warp that mri_warp_convert writes, their grid, what they are, and the source's grid."""
-    with reading(path), nifti.opened(path) as file:
-        start = file.read(284)
-        if len(start) < 284 or struct.unpack_from(">i", start)[0] & 0xFF != 1:
-            raise unreadable(path, "it is no .mgz or .mgh file", "check its name")
-        width, height, depth, frames, kind = struct.unpack_from(">5i", start, 4)
-        if min(width, height, depth) < 1 or frames != 3 or kind != 3:
-            what = (
-                f"it holds {width} x {height} x {depth} x {frames} voxels of type {kind}, and a warp three floats each"
-            )
-            raise unreadable(path, what, _CONVERT_WARP)
-        values = native(np.moveaxis(_voxels(path, file, ">f4", (frames, depth, height, width)), 0, -1))
-        tags = file.read()[20:]  # behind the parameters of the scan
-    try:
-        found = dict(_tags(tags))
-        (form,), places = struct.unpack_from(">i", found[_FORMAT]), found[_PLACES]
-        half = len(places) // 2
-        source, grid = _place(path, places[:half]), _place(path, places[half:])
-        if form not in range(len(_FREESURFER)) or grid.shape != values.shape[:3]:
-            raise KeyError(form)
-    except (struct.error, KeyError) as error:
-        what = "what follows its voxels is cut short or damaged, or names no two images, as that of a warp does"
-        raise unreadable(path, what, _CONVERT_WARP) from error
-    return values, grid, _FREESURFER[form], source
+    volume = mgh.read(path)
+    tags = dict(_tags(volume.header[1])) if volume.series and len(volume.samples) == 3 else {}
+    if not {_FORMAT, _PLACES} <= set(tags) or volume.samples.dtype != np.float32:
+        raise unreadable(
+            path, "it is no warp: three floats for each voxel, and the places of two images", _CONVERT_WARP
+        )
+    places, (form,) = tags[_PLACES], struct.unpack_from(">i", tags[_FORMAT])
+    half = len(places) // 2
+    source, grid = _place(path, places[:half]), _place(path, places[half:])
+    if grid.shape != volume.samples.shape[1:]:
+        raise ValueError("its places are not those of its voxels")
+    return np.ascontiguousarray(np.moveaxis(volume.samples, 0, -1)), grid, _FREESURFER[form], source
 
 
 def _tags(tags: bytes) -> Iterator[tuple[int, bytes]]:

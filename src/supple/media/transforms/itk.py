@@ -25,7 +25,7 @@ from supple.space.checks import library_of, refuse
 from supple.space.geometry import Geometry, Grid
 
 SUFFIXES_OUT = (".nii", ".nii.gz", ".nrrd", ".mha", ".h5")
-IMAGES = {".nii": "", ".nii.gz": "", ".nrrd": "NRRD", ".nhdr": "NRRD", ".mha": "MetaImage", ".mhd": "MetaImage"}
+IMAGES = (*NIFTI, ".nrrd", ".nhdr", ".mha", ".mhd")
 TRANSFORMS = (".h5", ".hdf5", ".tfm", ".txt", ".mat")
 _MANY = (".h5", ".tfm")
 _OUT = tuple(dict.fromkeys((*SUFFIXES_OUT, *TRANSFORMS)))
@@ -42,14 +42,14 @@ def read(path: PathLike, grids: base.Grids) -> tuple[base.Content, ...]:
     """Read a vector image or a file of transforms."""
     suffix = base.suffix_of(path, (*IMAGES, *TRANSFORMS))
     if suffix in IMAGES:
-        return (_field(path, IMAGES[suffix]),)
+        return (_field(path, suffix in NIFTI),)
     check_suffix(path, suffix, TRANSFORMS, _NONE, f"use {', '.join((*IMAGES, *TRANSFORMS))}", "read")
     return _transforms(path, suffix)
 
 
-def _field(path: PathLike, form: str) -> base.Displacements:
-    volume = itk.read(path, form) if form else nifti.read(path)
-    if not form:
+def _field(path: PathLike, in_nifti: bool) -> base.Displacements:
+    volume = (nifti if in_nifti else itk).read(path)
+    if in_nifti:
         check_header(path, volume, "itk")
         code = int(volume.header["intent_code"])
         if code == DISPLACEMENT:
@@ -93,19 +93,14 @@ def _transforms(path: PathLike, suffix: str) -> tuple[base.Content, ...]:
             whole = sitk.ReadTransform(os.fspath(path))
         except KeyError as error:  # a kind that SimpleITK's table of kinds lacks
             raise unreadable(path, "SimpleITK does not know its kind of transform", "write it as affine") from error
-    if whole.GetDimension() not in (2, 3):
-        what = f"it is a transform of {whole.GetDimension()} dimensions"
-        raise unreadable(path, what, "give one of pictures or volumes")
-    return tuple(_contents(path, sitk, whole))
+    return tuple(_contents(path, whole))
 
 
 def contents_of(transform: Any) -> tuple[base.Content, ...]:
     """Return the matrices and fields of a transform of SimpleITK; SuppleError if it holds anything else."""
     if library_of(transform) != "SimpleITK" or not hasattr(transform, "TransformPoint"):
         refuse("path", "the name of a file, or a transform of SimpleITK", transform)
-    if transform.GetDimension() not in (2, 3):
-        refuse("path", "a transform of 2 or 3 dimensions", told=f"one of {transform.GetDimension()}")
-    return tuple(_contents("the transform", itk.imported(), _kind_of(transform)))
+    return tuple(_contents("the transform", _kind_of(transform)))
 
 
 def transform_of(contents: Sequence[base.Content]) -> Any:
@@ -132,14 +127,15 @@ def _check_matlab(path: PathLike) -> None:
         raise unreadable(path, "it is cut short, or no file of ITK's on little-endian machines")
 
 
-def _contents(path: PathLike, sitk: Any, transform: Any) -> list[base.Content]:
+def _contents(path: PathLike, transform: Any) -> list[base.Content]:
+    sitk = itk.imported()
     # first: of a transform whose kind SimpleITK lacks, it makes a composite that holds itself
     if transform.IsLinear():
         return [base.check_matrix(path, _matrix(transform))]
     if isinstance(transform, sitk.CompositeTransform):
         made: list[base.Content] = []
         for i in reversed(range(transform.GetNumberOfTransforms())):  # it applies first what was added last
-            made += _contents(path, sitk, _kind_of(transform.GetNthTransform(i)))
+            made += _contents(path, _kind_of(transform.GetNthTransform(i)))
         return made
     interpolation: base.Interpolation
     if isinstance(transform, sitk.DisplacementFieldTransform):
@@ -283,37 +279,21 @@ def write_field(
 
 
 def _nrrd(field: npt.NDArray[Any], geometry: Geometry) -> str:
-    def vector(numbers: npt.ArrayLike) -> str:
-        return f"({spelled(numbers).replace(' ', ',')})"
-
-    lines = {
-        "type": _TYPES[field.dtype][0],
-        "dimension": "4",
-        "space": "left-posterior-superior",
-        "sizes": f"3 {' '.join(map(str, field.shape[2::-1]))}",
-        "space directions": " ".join(["none", *(vector(axis) for axis in geometry.matrix[:3, :3].T)]),
-        "kinds": "vector domain domain domain",
-        "endian": "little",
-        "encoding": "raw",
-        "space origin": vector(geometry.origin),
-    }
-    return "".join(["NRRD0004\n", *(f"{key}: {value}\n" for key, value in lines.items()), "\n"])
+    first, *axes = (
+        f"({spelled(numbers).replace(' ', ',')})" for numbers in (geometry.origin, *geometry.matrix[:3, :3].T)
+    )
+    return (
+        f"NRRD0004\ntype: {_TYPES[field.dtype][0]}\ndimension: 4\nspace: left-posterior-superior\n"
+        f"sizes: 3 {' '.join(map(str, field.shape[2::-1]))}\nspace directions: none {' '.join(axes)}\n"
+        f"kinds: vector domain domain domain\nendian: little\nencoding: raw\nspace origin: {first}\n\n"
+    )
 
 
 def _mha(field: npt.NDArray[Any], geometry: Geometry) -> str:
-    lines = {
-        "ObjectType": "Image",
-        "NDims": "3",
-        "BinaryData": "True",
-        "BinaryDataByteOrderMSB": "False",
-        "CompressedData": "False",
-        "TransformMatrix": spelled(geometry.direction.T),
-        "Offset": spelled(geometry.origin),
-        "CenterOfRotation": "0 0 0",
-        "ElementSpacing": spelled(geometry.spacing),
-        "DimSize": " ".join(map(str, field.shape[2::-1])),
-        "ElementNumberOfChannels": "3",
-        "ElementType": _TYPES[field.dtype][1],
-        "ElementDataFile": "LOCAL",
-    }
-    return "".join(f"{key} = {value}\n" for key, value in lines.items())
+    return (
+        "ObjectType = Image\nNDims = 3\nBinaryData = True\nBinaryDataByteOrderMSB = False\nCompressedData = False\n"
+        f"TransformMatrix = {spelled(geometry.direction.T)}\nOffset = {spelled(geometry.origin)}\n"
+        f"CenterOfRotation = 0 0 0\nElementSpacing = {spelled(geometry.spacing)}\n"
+        f"DimSize = {' '.join(map(str, field.shape[2::-1]))}\nElementNumberOfChannels = 3\n"
+        f"ElementType = {_TYPES[field.dtype][1]}\nElementDataFile = LOCAL\n"
+    )

@@ -394,15 +394,10 @@ class Store:
         path, kind = found["path"], _KINDS[found["type"]]
         array, axes, step = self._field(path)
         types = [axis.get("type") for axis in axes]
-        if types.count(kind) != 1:
-            listed = ", ".join(map(str, types))
-            raise self.error(f"its field {path} has axes of the types {listed}", f"make one of them a {kind}")
-        vector = types.index(kind)
-        if array.ndim != n + 1 or len(axes) != n + 1 or array.shape[vector] != n:
-            what = f"its field {path} has the shape {array.shape}, with {n} components along the axis {vector} expected"
-            raise self.error(what, "give a field of equal spaces")
-        if array.dtype.kind not in "iuf":
-            raise self.error(f"its field {path} is of {array.dtype}", "write float32 or float64")
+        vector = types.index(kind) if types.count(kind) == 1 else 0
+        if array.ndim != n + 1 or array.dtype.kind not in "iuf" or kind not in types or array.shape[vector] != n:
+            what = f"its field {path} is of {array.dtype} and shape {array.shape}, with axes of the types {types}"
+            raise self.error(what, f"give real numbers, with one axis of {n} {kind}s")
         told = found.get("interpolation") or "linear"
         if told not in _INTERPOLATION:
             raise self.error(f"its field {path} is to be interpolated by {told!r}", "use linear or cubic")

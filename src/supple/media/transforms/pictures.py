@@ -7,7 +7,6 @@ nothing holds ((x + 0.5) / W, 1 - (y + 0.5) / H), y down. OpenImageIO's ``st_war
 
 from __future__ import annotations
 
-import re
 import warnings
 import zipfile
 from collections.abc import Callable, Sequence
@@ -17,9 +16,9 @@ from typing import Any
 import numpy as np
 
 from supple.engine.work import Array
-from supple.errors import OutsideWarning, shown
+from supple.errors import OutsideWarning, need, shown
 from supple.media import image
-from supple.media.files import PathLike, check_suffix, head_of, replacing, unreadable, unwritable
+from supple.media.files import PathLike, check_suffix, head_of, refusing, replacing, unreadable, unwritable
 from supple.media.image import exr
 from supple.media.transforms.base import Content, Displacements, Grids, Matrix, only_field
 from supple.space.geometry import Grid
@@ -32,11 +31,6 @@ _STMAP_ADVICE = "an STMap needs red and green of 16 or 32 bits"
 _MAPS = (("map1", "map2"), ("mapx", "mapy"), ("xmap", "ymap"), ("x", "y"))
 _CHANNELS = (("R", "G"), ("S", "T"), ("U", "V"), ("X", "Y"))
 _STEPS = 32  # a pixel, in OpenCV's fixed point
-_TYPES = {"u": np.uint8, "c": np.int8, "w": np.uint16, "s": np.int16, "i": np.int32, "f": np.float32, "d": np.float64}
-_XML = r"<(\w+)\s+type_id=\"opencv-matrix\"\s*>\s*<rows>\s*(\d+)\s*</rows>\s*<cols>\s*(\d+)\s*</cols>"
-_XML += r"\s*<dt>\s*\"?(\w+)\"?\s*</dt>\s*<data>([^<]*)(</data>)?"
-_YAML = r"(?m)^(\w+)\s*:\s*!!opencv-matrix\s+rows:\s*(\d+)\s+cols:\s*(\d+)\s+dt:\s*\"?(\w+)\"?"
-_YAML += r"\s+data:\s*\[([^\]]*)(\]?)"
 _LONGEST = 32_767  # pixels on a side, of cv2.remap
 _WHITE = 65_535
 _Planes = tuple[Array, Array, Array | None, tuple[int, int], tuple[int, int]]
@@ -95,12 +89,12 @@ def write_remap(path: PathLike, contents: Sequence[Content], grids: Grids, *, fo
             file.write(places.data)
         elif suffix == ".npz":
             np.savez(file, map1=maps["map1"], map2=maps["map2"])
-        elif suffix == ".xml":
-            matrices = _in_text(_XML_OUT, " ", "\n", maps)
-            file.write(f'<?xml version="1.0"?>\n<opencv_storage>\n{matrices}</opencv_storage>\n'.encode())
         else:
-            matrices = _in_text(_YAML_OUT, ", ", ",\n       ", maps)
-            file.write(f"%YAML:1.0\n---\n{matrices}".encode())
+            cv2 = _opencv()
+            storage = cv2.FileStorage(suffix, cv2.FILE_STORAGE_WRITE | cv2.FILE_STORAGE_MEMORY)
+            for name, plane in maps.items():
+                storage.write(name, plane)
+            file.write(storage.releaseAndGetString().encode())
 
 
 def _arrays(path: PathLike) -> dict[str, Array]:
@@ -118,28 +112,20 @@ def _arrays(path: PathLike) -> dict[str, Array]:
 
 
 def _matrices(path: PathLike) -> dict[str, Array]:
-    """Return the matrices of a file of ``cv2.FileStorage``, which writes them alike in XML and YAML."""
-    xml = Path(path).suffix.lower() == ".xml"
-    text, begin = head_of(path, -1).decode("utf-8", "replace"), "<opencv_storage>" if xml else "%YAML"
-    if begin not in text[:1000]:
-        raise unreadable(path, f"it does not begin with {begin}", "write it by cv2.FileStorage")
-    found = {}
-    for name, rows, cols, dt, data, end in re.findall(_XML if xml else _YAML, text):
-        kind = re.fullmatch(r"([1-4]?)([ucwsifd])", dt)
-        if not end:
-            raise unreadable(path, f"its matrix {name} is cut short")
-        if kind is None:
-            raise unreadable(path, f"its matrix {name} has the type {dt!r}", _ADVICE)
-        shape = (int(rows), int(cols), int(kind[1])) if kind[1] not in ("", "1") else (int(rows), int(cols))
-        words = data.replace(",", " ").replace(".Inf", "inf").replace(".Nan", "nan").split()
-        try:
-            numbers = np.array([float(word) for word in words])
-        except ValueError as error:
-            raise unreadable(path, f"the data of its matrix {name} are no plain numbers", "write it as text") from error
-        if numbers.size != np.prod(shape):
-            raise unreadable(path, f"its matrix {name} holds {numbers.size} numbers in place of {np.prod(shape)}")
-        found[name] = numbers.astype(_TYPES[kind[2]]).reshape(shape)
-    return found
+    """Return the matrices of a file of ``cv2.FileStorage``."""
+    cv2, text = _opencv(), head_of(path, -1).decode("utf-8", "replace")
+    what = "it is no whole file of matrices, as cv2.FileStorage writes them"
+    with refusing(lambda _: unreadable(path, what, _ADVICE), Exception):  # of several types
+        storage = cv2.FileStorage(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
+        nodes = {name: storage.getNode(name) for name in storage.root().keys()}  # noqa: SIM118, not a dict
+        return {name: np.asarray(node.mat()) for name, node in nodes.items() if node.isMap()}
+
+
+def _opencv() -> Any:
+    need("flow", "maps of OpenCV in XML and YAML", "cv2")
+    import cv2
+
+    return cv2
 
 
 def _chosen(path: PathLike, named: dict[str, Array]) -> list[Array]:
@@ -172,16 +158,6 @@ def _planes(path: PathLike, arrays: list[Array]) -> tuple[Array, Array]:
         x, y = (first[..., k] + part / np.float32(_STEPS) for k, part in enumerate(parts))
         return x, y
     raise unreadable(path, f"it holds {what}", _ADVICE)
-
-
-_XML_OUT = '<{0} type_id="opencv-matrix">\n<rows>{1}</rows>\n<cols>{2}</cols>\n<dt>f</dt>\n<data>\n{3}</data></{0}>\n'
-_YAML_OUT = "{0}: !!opencv-matrix\n   rows: {1}\n   cols: {2}\n   dt: f\n   data: [ {3} ]\n"
-
-
-def _in_text(form: str, between: str, end: str, maps: dict[str, Array]) -> str:
-    """Return matrices as ``cv2.FileStorage`` writes them, with what stands between numbers and between rows."""
-    texts = {name: end.join(between.join(map(str, row)) for row in plane) for name, plane in maps.items()}
-    return "".join(form.format(name, *maps[name].shape, text) for name, text in texts.items())
 
 
 def read_stmap(path: PathLike, grids: Grids) -> tuple[Content, ...]:

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import os
 from dataclasses import replace
+from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -79,23 +81,13 @@ def _read(
     form = "raw" if layout is not None else _format(path)
     if form == "raw":
         return raw.read_dat(path) if layout is None and suffix_of(path) == ".dat" else raw.read(path, layout)
-    if form == "TIFF":
-        return stack.read(path)
-    if form == "DICOM":
-        from supple.media.volume import dicom
+    options = {"series": series, "irregular": irregular} if form == "DICOM" else {"header_only": header_only}
+    return _module(form).read(path, **({} if form == "TIFF" else options))  # type: ignore[no-any-return]
 
-        return dicom.read(path, series, irregular)
-    if form == "NIfTI":
-        from supple.media.volume import nifti
 
-        return nifti.read(path, header_only=header_only)
-    if form == "MGH":
-        from supple.media.volume import mgh
-
-        return mgh.read(path, header_only=header_only)
-    from supple.media.volume import itk
-
-    return itk.read(path, form, header_only=header_only)
+def _module(form: str) -> Any:
+    names = {"TIFF": "pages", "DICOM": "dicom", "NIfTI": "nifti", "MGH": "mgh"}
+    return import_module(f"supple.media.volume.{names.get(form, 'itk')}")
 
 
 def _format(path: PathLike) -> str:
@@ -139,12 +131,9 @@ def check_target(
     known = np.dtype(like.samples.dtype if dtype is None else dtype)
     if not suffix.startswith(".nii"):
         known = rescaled_dtype(known, like.scaling)
-    if suffix in stack.SUFFIXES:
-        stack.check(path, like, known)
-    elif FORMATS[suffix] == "MGH":
-        from supple.media.volume import mgh
-
-        mgh.check(path, like, known)
+    module = _module("TIFF" if suffix in stack.SUFFIXES else FORMATS[suffix])
+    if hasattr(module, "check"):
+        module.check(path, like, known)
     elif known.name not in DTYPES:
         raise unwritable(path, f"volumes hold no {known} values", f"use one of {', '.join(DTYPES)}")
 
@@ -172,26 +161,9 @@ def write(path: PathLike, samples: Array, like: Volume, *, force: bool = False) 
         what = f"the samples are of {samples.shape}, and {like.name} is of {like.samples.shape}"
         raise unwritable(path, what, "make them alike")
     suffix = suffix_of(path)
-    if suffix in derived.SUFFIXES:
-        derived.write(path, samples, like, force=force)
-        return
-    if suffix.startswith(".nii"):
-        from supple.media.volume import nifti
-
-        nifti.write(path, samples, like, force=force)
-        return
-    meant = rescaled(samples, like.scaling)
-    if suffix in stack.SUFFIXES:
-        stack.write(path, meant, like, force=force)
-        return
-    if FORMATS[suffix] == "MGH":
-        from supple.media.volume import mgh
-
-        mgh.write(path, meant, like, force=force)
-        return
-    from supple.media.volume import itk
-
-    itk.write(path, meant, like, force=force)
+    module = derived if suffix in derived.SUFFIXES else _module(FORMATS.get(suffix, "TIFF"))
+    scaled = module is derived or suffix.startswith(".nii")
+    module.write(path, samples if scaled else rescaled(samples, like.scaling), like, force=force)
 
 
 def info(

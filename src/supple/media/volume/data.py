@@ -20,6 +20,8 @@ from supple.space.geometry import Geometry, Grid
 Array = npt.NDArray[Any]
 
 _SEGMENT = re.compile(r"Segment\d+_(ID|LabelValue)")
+TO_RAS = np.diag([-1.0, -1.0, 1.0, 1.0])
+"""From positions in LPS to those in RAS, and back."""
 DTYPES = ("uint8", "int8", "uint16", "int16", "uint32", "int32", "uint64", "int64", "float32", "float64")
 
 

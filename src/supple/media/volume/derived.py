@@ -18,7 +18,7 @@ import numpy as np
 from supple.errors import SuppleError, said
 from supple.media.files import PathLike, check_output, replacing, replacing_all, unwritable
 from supple.media.volume.data import Array, Volume
-from supple.media.volume.frames import Frames, frames_of, imported, item_of, quiet
+from supple.media.volume.frames import Frames, dataset, frames_of, head_of, imported, item_of, quiet, without
 
 SUFFIXES = ("", ".dcm")
 """The suffixes of what is derived: a folder of slices, and a file of many frames."""
@@ -48,7 +48,7 @@ def check(path: PathLike, like: Volume | None = None, *, force: bool = False) ->
 
     Nothing that is in a folder is ever replaced: it must be new, or empty. A file may be, with ``force``.
     """
-    imported("DICOM files that are written")
+    imported()
     many, single = like is not None and isinstance(like.header, str), Path(path).suffix != ""
     if like is not None and not many and single:
         raise unwritable(path, f"{like.name} is of slices", "give a folder for slices, which is a name without suffix")
@@ -91,19 +91,18 @@ def write(path: PathLike, samples: Array, like: Volume, *, force: bool = False) 
     Samples (Z, H, W) or (Z, H, W, 3) are in the units of the files (Hounsfield's, for CT); of doses, as they are
     stored. ``like`` is the source, with the paths of its slices, or its own, as the header, and the geometry to write.
     """
-    pydicom = imported("DICOM files that are written")
     check(path, like, force=force)
     with quiet():
-        (_write_frames if isinstance(like.header, str) else _write_slices)(pydicom, path, samples, like, force)
+        (_write_frames if isinstance(like.header, str) else _write_slices)(path, samples, like, force)
 
 
-def _stamp(pydicom: Any) -> tuple[Any, datetime.datetime]:
-    return pydicom.uid.generate_uid(prefix=None), datetime.datetime.now()
+def _stamp() -> tuple[Any, datetime.datetime]:
+    return new_uid(), datetime.datetime.now()
 
 
-def _write_frames(pydicom: Any, path: PathLike, samples: Array, like: Volume, force: bool) -> None:
+def _write_frames(path: PathLike, samples: Array, like: Volume, force: bool) -> None:
     source = _source(path, like)
-    made = _derived(pydicom, source.head, _stamp(pydicom), like.resampled)
+    made = _derived(source.head, _stamp(), like.resampled)
     scale = _set_pixels(made, samples, source.scale)
     if scale != source.scale:
         for group in (*(made.get("SharedFunctionalGroupsSequence") or ()), *(made.get(_GROUPS) or ())):
@@ -111,29 +110,29 @@ def _write_frames(pydicom: Any, path: PathLike, samples: Array, like: Volume, fo
     made.NumberOfFrames = len(samples)
     if source.places is not None:
         places = [like.geometry.to_lps((0.0, 0.0, k)) for k in range(len(samples))]
-        _set_frames(pydicom, made, like, (places, source.places, scale))
+        _set_frames(made, like, (places, source.places, scale))
     with replacing(path, force=force) as temporary:
         _save(made, temporary, path)
 
 
-def _write_slices(pydicom: Any, path: PathLike, samples: Array, like: Volume, _: bool) -> None:
+def _write_slices(path: PathLike, samples: Array, like: Volume, _: bool) -> None:
     try:
-        heads = [pydicom.dcmread(name, stop_before_pixels=True) for name in like.header]
+        heads = [head_of(name) for name in like.header]
     except Exception as error:  # pydicom has many
         raise unwritable(path, f"{like.name} is not readable any more", "bring it back") from error
-    places, stamp = np.array([_place_of(head) for head in heads]), _stamp(pydicom)
+    places, stamp = np.array([_place_of(head) for head in heads]), _stamp()
     common = {_scale_of(head) for head in heads}
     with replacing_all(Path(path)) as folder:
         for k, slab in enumerate(samples):
             place = like.geometry.to_lps((0.0, 0.0, k))
             near = _nearest(places, place)
-            made = _derived(pydicom, heads[near], stamp, like.resampled)
+            made = _derived(heads[near], stamp, like.resampled)
             made.InstanceNumber = k + 1
             scale = _set_pixels(made, slab[None], next(iter(common)) if len(common) == 1 else None)
             if made.get(_GROUPS):
-                _set_frames(pydicom, made, like, ([place], places[near : near + 1], scale))
+                _set_frames(made, like, ([place], places[near : near + 1], scale))
             else:
-                _set_place(pydicom, made, like, place)
+                _set_place(made, like, place)
             _save(made, folder / f"slice{k + 1:04d}.dcm", path)
 
 
@@ -163,31 +162,30 @@ def _scale_of(head: Any) -> tuple[float, float]:
     return float(head.get("RescaleSlope") or 1), float(head.get("RescaleIntercept") or 0)
 
 
-def _derived(pydicom: Any, head: Any, common: tuple[Any, datetime.datetime], resampled: str) -> Any:
+def _derived(head: Any, common: tuple[Any, datetime.datetime], resampled: str) -> Any:
     """Return the data of a new slice or file, without pixels and place."""
     from supple import __version__
 
     uid, now = common
-    made = pydicom.Dataset()
+    made = dataset()
     made.update(head)
     made.remove_private_tags()
-    for name in _STALE:
-        if name in made:
-            delattr(made, name)
+    without(made, _STALE)
     for tag in [tag for tag in made.keys() if tag.group in (*_OVERLAYS, *_CURVES)]:  # noqa: SIM118, not a dict
         del made[tag]
-    source = reference_to(pydicom, head)
-    source.PurposeOfReferenceCodeSequence = [_code(pydicom, "121322", "Source image for image processing operation")]
-    made.SOPInstanceUID, made.SeriesInstanceUID = pydicom.uid.generate_uid(prefix=None), uid
+    source = reference_to(head)
+    source.PurposeOfReferenceCodeSequence = [_code("121322", "Source image for image processing operation")]
+    made.SOPInstanceUID, made.SeriesInstanceUID = new_uid(), uid
     made.SeriesNumber = series_number(head)
     made.SeriesDescription = ended(str(head.get("SeriesDescription") or ""), f"bent, {WARNING}")
     made.ImageType = ["DERIVED", "SECONDARY", *list(head.get("ImageType") or ())[2:]]
     before = f"Of a source whose {resampled}. " if resampled else ""
     made.DerivationDescription = f"{before}Bent by Supple {__version__}, a non-rigid deformation. {WARNING}"
-    made.DerivationCodeSequence = [_code(pydicom, "113085", "Spatial resampling")]
+    made.DerivationCodeSequence = [_code("113085", "Spatial resampling")]
     made.SourceImageSequence = [source]
     made.ImageComments = f"Bent by Supple: {WARNING}"
     made.InstanceCreationDate, made.InstanceCreationTime = now.strftime("%Y%m%d"), now.strftime("%H%M%S")
+    pydicom = imported()
     made.file_meta = pydicom.dataset.FileMetaDataset()
     made.file_meta.TransferSyntaxUID = pydicom.uid.ExplicitVRLittleEndian
     made.file_meta.MediaStorageSOPClassUID = made.SOPClassUID
@@ -195,17 +193,18 @@ def _derived(pydicom: Any, head: Any, common: tuple[Any, datetime.datetime], res
     return made
 
 
-def reference_to(pydicom: Any, head: Any) -> Any:
+def new_uid() -> Any:
+    """Return a UID that no other object has."""
+    return imported().uid.generate_uid(prefix=None)
+
+
+def reference_to(head: Any) -> Any:
     """Return an item that refers to an object."""
-    made = pydicom.Dataset()
-    made.ReferencedSOPClassUID, made.ReferencedSOPInstanceUID = head.SOPClassUID, head.SOPInstanceUID
-    return made
+    return dataset(ReferencedSOPClassUID=head.SOPClassUID, ReferencedSOPInstanceUID=head.SOPInstanceUID)
 
 
-def _code(pydicom: Any, value: str, meaning: str) -> Any:
-    made = pydicom.Dataset()
-    made.CodeValue, made.CodingSchemeDesignator, made.CodeMeaning = value, "DCM", meaning
-    return made
+def _code(value: str, meaning: str) -> Any:
+    return dataset(CodeValue=value, CodingSchemeDesignator="DCM", CodeMeaning=meaning)
 
 
 def series_number(head: Any) -> int:
@@ -219,11 +218,12 @@ def ended(text: str, end: str) -> str:
     return f"{text[: _LONGEST - len(end) - 2]}, {end}" if text else end
 
 
-def _decimal(pydicom: Any, values: Sequence[float]) -> list[Any]:
+def _decimal(values: Sequence[float]) -> list[Any]:
+    pydicom = imported()
     return [pydicom.valuerep.DSfloat(float(x) + 0.0, auto_format=True) for x in values]
 
 
-def _set_frames(pydicom: Any, made: Any, like: Volume, where: tuple[list[Array], Array, tuple[float, float]]) -> None:
+def _set_frames(made: Any, like: Volume, where: tuple[list[Array], Array, tuple[float, float]]) -> None:
     """Set where frames lie: by offsets, or in functional groups, each of which is that of the nearest source frame.
 
     ``where`` are the places of the frames, those of the source, and the rescale slope and intercept.
@@ -231,33 +231,26 @@ def _set_frames(pydicom: Any, made: Any, like: Volume, where: tuple[list[Array],
     places, sources, (slope, intercept) = where
     groups, count = made.get(_GROUPS), len(places)
     if not groups:
-        _set_place(pydicom, made, like, places[0])
-        made.GridFrameOffsetVector = _decimal(pydicom, [k * like.geometry.spacing[2] for k in range(count)])
+        _set_place(made, like, places[0])
+        made.GridFrameOffsetVector = _decimal([k * like.geometry.spacing[2] for k in range(count)])
         made.DoseComment = ended(str(made.get("DoseComment") or ""), f"bent, {WARNING}")
         return
     made.ImageType = ["DERIVED", "PRIMARY", *list(made.ImageType)[2:]]
-    shared = made.SharedFunctionalGroupsSequence[0] if made.get("SharedFunctionalGroupsSequence") else pydicom.Dataset()
+    shared = made.SharedFunctionalGroupsSequence[0] if made.get("SharedFunctionalGroupsSequence") else dataset()
     once = {name: item_of(made, 0, name) for name in ("PlaneOrientationSequence", "PixelMeasuresSequence")}
     values = item_of(made, 0, "PixelValueTransformationSequence")
     if values is None and (slope, intercept) != (1, 0):
-        values = pydicom.Dataset()
-        values.RescaleType = "US"
+        values = dataset(RescaleType="US")
     if values is not None:
         values.RescaleSlope, values.RescaleIntercept = f"{slope:.10g}", f"{intercept:.10g}"
         once["PixelValueTransformationSequence"] = values
-    derivation = pydicom.Dataset()
-    for name in ("DerivationDescription", "DerivationCodeSequence", "SourceImageSequence"):
-        derivation[name] = made[name]
-    once["DerivationImageSequence"] = derivation
-    _set_plane(pydicom, once["PlaneOrientationSequence"], once["PixelMeasuresSequence"], like)
+    derivation = ("DerivationDescription", "DerivationCodeSequence", "SourceImageSequence")
+    once["DerivationImageSequence"] = dataset(**{name: made[name].value for name in derivation})
+    _set_plane(once["PlaneOrientationSequence"], once["PixelMeasuresSequence"], like)
     own = [copy.deepcopy(groups[_nearest(sources, place)]) for place in places]
     for k, (group, place) in enumerate(zip(own, places, strict=True)):
-        for name in once:
-            if name in group:
-                delattr(group, name)
-        position = pydicom.Dataset()
-        position.ImagePositionPatient = _decimal(pydicom, place.tolist())
-        group.PlanePositionSequence = [position]
+        without(group, once)
+        group.PlanePositionSequence = [dataset(ImagePositionPatient=_decimal(place.tolist()))]
         if like.regridded:
             _renumber(made, group, k + 1)
     for name, item in once.items():
@@ -283,24 +276,24 @@ def _renumber(made: Any, group: Any, number: int) -> None:
             ]
 
 
-def _set_place(pydicom: Any, made: Any, like: Volume, place: Array) -> None:
-    made.ImagePositionPatient = _decimal(pydicom, place.tolist())
-    _set_plane(pydicom, made, made, like)
+def _set_place(made: Any, like: Volume, place: Array) -> None:
+    made.ImagePositionPatient = _decimal(place.tolist())
+    _set_plane(made, made, like)
     if "SliceLocation" in made:
         normal = np.cross(like.geometry.direction[:, 0], like.geometry.direction[:, 1])
-        (made.SliceLocation,) = _decimal(pydicom, [float(place @ normal)])
+        (made.SliceLocation,) = _decimal([float(place @ normal)])
 
 
-def _set_plane(pydicom: Any, turned: Any, pixels: Any, like: Volume) -> None:
+def _set_plane(turned: Any, pixels: Any, like: Volume) -> None:
     across, down, step = like.geometry.spacing
     if like.geometry.shear:  # along the normal, as DICOM counts it
         step *= abs(float(np.linalg.det(like.geometry.direction)))
-    turned.ImageOrientationPatient = _decimal(pydicom, like.geometry.direction[:, :2].T.ravel().tolist())
-    pixels.PixelSpacing = _decimal(pydicom, [down, across])
+    turned.ImageOrientationPatient = _decimal(like.geometry.direction[:, :2].T.ravel().tolist())
+    pixels.PixelSpacing = _decimal([down, across])
     if like.regridded:
-        (pixels.SliceThickness,) = _decimal(pydicom, [step])
+        (pixels.SliceThickness,) = _decimal([step])
     if "SpacingBetweenSlices" in pixels:
-        (pixels.SpacingBetweenSlices,) = _decimal(pydicom, [step])
+        (pixels.SpacingBetweenSlices,) = _decimal([step])
 
 
 def _set_pixels(made: Any, slab: Array, scale: tuple[float, float] | None) -> tuple[float, float]:
@@ -311,9 +304,7 @@ def _set_pixels(made: Any, slab: Array, scale: tuple[float, float] | None) -> tu
         made.PhotometricInterpretation, made.PlanarConfiguration = "RGB", 0
     else:
         if made.get("PhotometricInterpretation") == "MONOCHROME1":  # GDCM has inverted its values
-            for name in ("WindowCenter", "WindowWidth", "VOILUTSequence", "PresentationLUTShape", *_PADDING):
-                if name in made:
-                    delattr(made, name)
+            without(made, ("WindowCenter", "WindowWidth", "VOILUTSequence", "PresentationLUTShape", *_PADDING))
         made.PhotometricInterpretation = "MONOCHROME2"
     stored, (slope, intercept) = _stored(made, slab, scale)
     if colours == 1 and not made.get(_GROUPS) and ("RescaleSlope" in made or (slope, intercept) != (1, 0)):
@@ -337,8 +328,7 @@ def _set_padding(made: Any, kind: str, alike: bool) -> None:
         made.pop(_MAPPING, None)
     for name in _PADDING:
         value = made.get(name)
-        if name in made:
-            delattr(made, name)
+        without(made, [name])
         if alike and value is not None and _fits(np.array(value), 16, kind):
             made.add_new(name, "SS" if kind == "i" else "US", value)
 

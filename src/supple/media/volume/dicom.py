@@ -14,12 +14,12 @@ from typing import Any
 
 import numpy as np
 
-from supple.errors import VolumeWarning, argument, shown
+from supple.errors import SuppleError, VolumeWarning, argument, shown
 from supple.media.files import PathLike, first_bytes, head_of, unreadable
 from supple.media.volume.data import Array, Volume, check_spacing, located
-from supple.media.volume.frames import frames_of
-from supple.media.volume.frames import imported as with_pydicom
-from supple.media.volume.itk import check_voxels, failing, geometry_of, imported, silence
+from supple.media.volume.frames import dataset, frames_of
+from supple.media.volume.frames import head_of as pixelless
+from supple.media.volume.itk import check_voxels, failing, geometry_of, imported, informed
 from supple.space.checks import choice
 
 _UID, _NUMBER, _TEXT, _PIXEL_SPACING = "0020|000e", "0020|0011", "0008|103e", "0028|0030"
@@ -87,7 +87,7 @@ def listed(path: PathLike, *, nested: bool = True) -> list[Series]:
     Objects that are not images, or are derived from images in the folder (a dose, a segmentation), are left out with a
     warning; files that cannot be read, too, if a slice beside them was named, and not the folder (``nested``).
     """
-    sitk = imported()
+    imported()  # or say that it is missing
     beside: list[tuple[str, str]] = []
     images: list[tuple[str, Any]] = []
     derived: list[tuple[str, Any]] = []
@@ -96,7 +96,7 @@ def listed(path: PathLike, *, nested: bool = True) -> list[Series]:
         named = os.path.splitext(file)[1].lower() in _SUFFIXES
         if os.path.basename(file).upper() == "DICOMDIR" or not os.path.isfile(file) or not (named or is_slice(file)):
             continue
-        reader, kind = _reader(sitk, file), _kind_beside(file)
+        reader, kind = _reader(file), _kind_beside(file)
         if reader is None and not kind:
             if nested:  # a missing last slice would not be noticed
                 what = "it is damaged, or no slice of any series"
@@ -138,41 +138,30 @@ def _kind_beside(path: str) -> str:
     return _BESIDE.get(".".join(parts[:2])) or _BESIDE.get(parts[0], "")
 
 
-def _head(path: str, what: str) -> Any:
+def _head(path: str) -> Any:
     """Return what pydicom reads of a file before its pixels; nothing of one that it cannot read, as others tell."""
-    pydicom = with_pydicom(what)
     try:
-        return pydicom.dcmread(path, stop_before_pixels=True)
+        return pixelless(path)
     except Exception:  # pydicom has many
-        return pydicom.Dataset()
+        return dataset()
 
 
 def frame_of_reference(path: str) -> str:
     """Return the UID of the frame of reference of a DICOM file: an image's, or of contours; "" if it says none."""
-    head = _head(path, "contours of DICOM")
+    head = _head(path)
     parts = [head, *(head.get("ReferencedFrameOfReferenceSequence") or ())]
     return next((str(part.FrameOfReferenceUID) for part in parts if part.get("FrameOfReferenceUID")), "")
 
 
 def padding_of(volume: Volume) -> float | None:
     """Return the value of voxels that stand for no pixel (PixelPaddingValue), scaled; None if the file says none."""
-    head = _head(volume.header[0] if isinstance(volume.header, tuple) else volume.header, "padding of DICOM")
+    head = _head(volume.header[0] if isinstance(volume.header, tuple) else volume.header)
     stored = head.get("PixelPaddingValue")
     if not isinstance(stored, int) or head.get("PhotometricInterpretation") == "MONOCHROME1":  # which GDCM inverts
         return None
     value = stored * float(head.get("RescaleSlope") or 1) + float(head.get("RescaleIntercept") or 0)
     limits = np.iinfo(volume.samples.dtype) if volume.samples.dtype.kind in "iu" else None
     return value if limits is None or limits.min <= value <= limits.max else None
-
-
-def described(found: list[Series]) -> str:
-    """Return a list of series in one line."""
-    parts = []
-    for k, one in enumerate(found, 1):
-        text = f" {shown(one.description)}" if one.description else ""
-        slices = f"{len(one.paths)} slice{'s' if len(one.paths) > 1 else ''}"
-        parts.append(f"{k} is {one.uid}{text} of {slices}")
-    return ", ".join(parts)
 
 
 def read(path: PathLike, series: str | None = None, irregular: str | None = None) -> Volume:
@@ -185,22 +174,21 @@ def read(path: PathLike, series: str | None = None, irregular: str | None = None
     """
     if irregular is not None:
         choice("irregular", irregular, ("resample",))
-    sitk, file = imported(), Path(path)
+    file = Path(path)
     if not file.is_dir():
         head_of(path, 1)
-        reader = _reader(sitk, os.fspath(path))
+        reader = _reader(os.fspath(path))
         if reader is None:
             if kind := _kind_beside(os.fspath(path)):
                 other = "give slices, or a file of frames"
                 advice = "supple points moves its contours" if kind == "RTSTRUCT" else other
                 raise unreadable(path, f"it is DICOM without a picture ({kind})", advice)
-            with failing(path, "DICOM"):  # which says why
-                reader = _informed(sitk, os.fspath(path))
+            reader = informed(path, "DICOM")  # which says why
         if reader.GetSize()[2:3] > (1,):
-            return _frames(path, sitk, reader, path, irregular)
+            return _frames(path, reader, path, irregular)
         found = listed(file.parent, nested=False)
-        return _stacked(path, sitk, _chosen(found, path, series or _tag(reader, _UID)), irregular)
-    return _stacked(path, sitk, _chosen(listed(file), path, series), irregular)
+        return _stacked(path, _chosen(found, path, series or _tag(reader, _UID)), irregular)
+    return _stacked(path, _chosen(listed(file), path, series), irregular)
 
 
 def _chosen(found: list[Series], path: PathLike, series: str | None) -> Series:
@@ -211,22 +199,14 @@ def _chosen(found: list[Series], path: PathLike, series: str | None) -> Series:
             return one
     what = f"it holds {len(found)} series" if series is None else f"it holds no series {shown(series)}"
     advice = f"say which one by {argument('series', '1')}, or name one of its slices"
-    raise unreadable(path, f"{what} ({described(found)})", advice)
+    listed = (f"{k} is {one.uid} {shown(one.description)} of {len(one.paths)} slices" for k, one in enumerate(found, 1))
+    raise unreadable(path, f"{what} ({', '.join(listed)})", advice)
 
 
-def _informed(sitk: Any, name: str) -> Any:
-    reader = sitk.ImageFileReader()
-    reader.SetImageIO("GDCMImageIO")
-    reader.SetFileName(name)
-    reader.ReadImageInformation()
-    return reader
-
-
-def _reader(sitk: Any, name: str) -> Any | None:
+def _reader(name: str) -> Any | None:
     try:
-        with silence():
-            return _informed(sitk, name)
-    except RuntimeError:
+        return informed(name, "DICOM")
+    except SuppleError:
         return None
 
 
@@ -244,9 +224,9 @@ def _check_pixels(path: PathLike, reader: Any) -> None:
         check_spacing(path, steps)
 
 
-def _frames(path: PathLike, sitk: Any, reader: Any, file: PathLike, irregular: str | None) -> Volume:
+def _frames(path: PathLike, reader: Any, file: PathLike, irregular: str | None) -> Volume:
     """Read one file that holds all slices; ``path`` is for messages."""
-    check_voxels(path, sitk, reader)
+    check_voxels(path, reader)
     _check_pixels(path, reader)
     known, order, uneven = frames_of(file), None, None
     if known.places is None:
@@ -257,7 +237,7 @@ def _frames(path: PathLike, sitk: Any, reader: Any, file: PathLike, irregular: s
         order, step, direction, uneven = _ordered(path, names, *stack, irregular)
         geometry = located(path, [*known.spacing, step], known.places[order[0]].tolist(), direction, "LPS")
     with failing(path, "DICOM", tuple(reader.GetSize())):
-        samples = known.rescaled(sitk.GetArrayFromImage(reader.Execute()))
+        samples = known.rescaled(imported().GetArrayFromImage(reader.Execute()))
     if order is not None and (np.diff(order) != 1).any():
         samples = samples[order]
     scaling, name = _dose(path, reader), os.path.abspath(file)
@@ -278,7 +258,7 @@ def _dose(path: PathLike, reader: Any) -> tuple[float, float]:
 
 def dose_unit(path: PathLike) -> str:
     """Return the unit of a scaled dose: Gy, or nothing for one that is relative."""
-    reader = _reader(imported(), os.fspath(path))
+    reader = _reader(os.fspath(path))
     return "Gy" if reader is not None and _tag(reader, _DOSE_UNITS).upper() == "GY" else ""
 
 
@@ -292,16 +272,15 @@ def _narrowed(samples: Array, readers: list[Any]) -> Array:
     return samples.astype(np.int16) if known.min <= samples.min() and samples.max() <= known.max else samples
 
 
-def _stacked(path: PathLike, sitk: Any, series: Series, irregular: str | None) -> Volume:
-    readers, uneven = [], None
+def _stacked(path: PathLike, series: Series, irregular: str | None) -> Volume:
+    sitk, readers, uneven = imported(), [], None
     for name in series.paths:
-        with failing(name, "DICOM"):
-            readers.append(_informed(sitk, name))
-        check_voxels(name, sitk, readers[-1])
+        readers.append(informed(name, "DICOM"))
+        check_voxels(name, readers[-1])
         _check_pixels(name, readers[-1])
     first = readers[0]
     if len(readers) == 1 and first.GetSize()[2:3] > (1,):
-        return _frames(path, sitk, first, series.paths[0], irregular)
+        return _frames(path, first, series.paths[0], irregular)
     for name, reader in zip(series.paths, readers, strict=True):
         if reader.GetSize()[2:3] > (1,):
             raise unreadable(path, f"{shown(Path(name).name)} is one of several files of many frames", "name that file")

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -47,12 +47,33 @@ class Frames:
         return made
 
 
-def imported(what: str) -> Any:
-    """Return pydicom, imported at the first use; ``what`` says in an error what needs it."""
-    need("volume", what, "pydicom")
+def imported() -> Any:
+    """Return pydicom, imported at the first use."""
+    need("volume", "DICOM files", "pydicom")
     import pydicom
 
     return pydicom
+
+
+def dataset(**values: Any) -> Any:
+    """Return a dataset of pydicom with these attributes."""
+    made = imported().Dataset()
+    for name, value in values.items():
+        setattr(made, name, value)
+    return made
+
+
+def head_of(path: PathLike) -> Any:
+    """Return what pydicom reads of a file before its pixels."""
+    with quiet():
+        return imported().dcmread(path, stop_before_pixels=True)
+
+
+def without(made: Any, names: Iterable[str]) -> None:
+    """Leave attributes out of a dataset."""
+    for name in names:
+        if name in made:
+            delattr(made, name)
 
 
 @contextlib.contextmanager
@@ -71,10 +92,9 @@ def item_of(head: Any, k: int, name: str) -> Any | None:
 
 def frames_of(path: PathLike) -> Frames:
     """Return the frames of a file; SuppleError if they differ in direction or spacing, or it is damaged."""
-    pydicom = imported("DICOM files of many frames")
     try:
+        head = head_of(path)
         with quiet():
-            head = pydicom.dcmread(path, stop_before_pixels=True)
             if head.get("PerFrameFunctionalGroupsSequence"):
                 told = _grouped(head)
             elif head.get("GridFrameOffsetVector"):

@@ -22,7 +22,7 @@ from supple.media.volume.data import DTYPES, Array, Volume, check_spacing, locat
 from supple.media.volume.raw import count_bytes
 from supple.space.geometry import Geometry
 
-_LOADERS = {"NRRD": "NrrdImageIO", "MetaImage": "MetaImageIO"}
+_LOADERS = {"NRRD": "NrrdImageIO", "MetaImage": "MetaImageIO", "DICOM": "GDCMImageIO", "NIfTI": "NiftiImageIO"}
 _MILLIMETRES = {"", "???", "mm", "millimeter", "millimeters", "millimetre", "millimetres"}
 # ITK's own entries, and entries that it always writes
 _OWN = re.compile(r"ITK_|NRRD_space$|NRRD_kinds|NRRD_sizes|NRRD_thicknesses")
@@ -67,24 +67,20 @@ def silence(own: str = "") -> Iterator[None]:
         yield
 
 
-def read(path: PathLike, form: str, *, header_only: bool = False) -> Volume:
-    """Read a NRRD or a MetaImage file (`form`), with its data in it or beside it.
+def read(path: PathLike, *, header_only: bool = False) -> Volume:
+    """Read a NRRD or a MetaImage file, with its data in it or beside it.
 
     With ``header_only``, samples take no memory, and are 0. SuppleError if it is missing, of another kind, damaged or
     cut short; if its voxels are not real numbers; or if it has more axes than x, y, z and time.
     """
-    sitk = imported()
+    sitk, form = imported(), "NRRD" if Path(path).suffix.lower() in (".nrrd", ".nhdr") else "MetaImage"
     head = head_of(path, 4)
     if form == "NRRD" and head != b"NRRD":
         raise unreadable(path, "it is no NRRD file", "check its name")
     fields, end = _fields(path, form)
     data = _data_file(path, fields)
-    reader = sitk.ImageFileReader()
-    reader.SetFileName(os.fspath(path))
-    reader.SetImageIO(_LOADERS[form])
-    with failing(path, form):
-        reader.ReadImageInformation()
-    check_voxels(path, sitk, reader)
+    reader = informed(path, form)
+    check_voxels(path, reader)
     sizes, ndim = tuple(reader.GetSize()), reader.GetDimension()
     series, components = ndim == 4, reader.GetNumberOfComponents()
     if ndim > 4 or (series and components > 1):
@@ -96,7 +92,7 @@ def read(path: PathLike, form: str, *, header_only: bool = False) -> Volume:
     told = {key: reader.GetMetaData(key) for key in reader.GetMetaDataKeys() if not _OWN.match(key)}
     # SimpleITK has no type for matrices, such as NRRD's measurement frame
     header = {key: text for key, text in told.items() if not text.startswith("[UNKNOWN")}
-    kind = _kind(sitk, reader)
+    kind = _kind(reader)
     letter = "f" if "float" in kind else "u" if "unsigned" in kind else "i"
     dtype = np.dtype(f"{letter}{int(re.findall(r'([0-9]+)-bit', kind)[0]) // 8}")
     shape = (*([1] if ndim < 3 else []), *sizes[::-1], *([components] if components > 1 else []))
@@ -112,6 +108,16 @@ def read(path: PathLike, form: str, *, header_only: bool = False) -> Volume:
     return replace(found, samples=samples.reshape(shape))
 
 
+def informed(path: PathLike, form: str, file: PathLike | None = None) -> Any:
+    """Return ITK's reader of a file, with the header read; ``file`` is that of the header, if another than ``path``."""
+    reader = imported().ImageFileReader()
+    reader.SetImageIO(_LOADERS[form])
+    reader.SetFileName(os.fspath(path if file is None else file))
+    with failing(path, form):
+        reader.ReadImageInformation()
+    return reader
+
+
 def _scaling(path: PathLike, fields: dict[str, str]) -> tuple[float, float]:
     """Return the slope and the intercept of a MetaImage, which ITK does not read."""
     told = [fields.get(f"elementtointensityfunction{name}", usual) for name, usual in (("slope", "1"), ("offset", "0"))]
@@ -121,15 +127,15 @@ def _scaling(path: PathLike, fields: dict[str, str]) -> tuple[float, float]:
     return slope, intercept
 
 
-def check_voxels(path: PathLike, sitk: Any, reader: Any) -> None:
+def check_voxels(path: PathLike, reader: Any) -> None:
     """Raise SuppleError for voxels that are not real numbers."""
-    kind = _kind(sitk, reader)
+    kind = _kind(reader)
     if "integer" not in kind and (kind.startswith("complex") or "float" not in kind):
         raise unreadable(path, f"its voxels are {kind}", f"convert them to one of {', '.join(DTYPES)}")
 
 
-def _kind(sitk: Any, reader: Any) -> str:
-    return str(sitk.GetPixelIDValueAsString(reader.GetPixelID()))
+def _kind(reader: Any) -> str:
+    return str(imported().GetPixelIDValueAsString(reader.GetPixelID()))
 
 
 def _fields(path: PathLike, form: str) -> tuple[dict[str, str], int]:
@@ -167,8 +173,6 @@ def _check_data(path: PathLike, data: Path | None, fields: dict[str, str], end: 
         known = fields.get("encoding", "").lower()
         skipped = "0" if {fields.get("byteskip", "0"), fields.get("lineskip", "0")} == {"0"} else "-1"
     told = " x ".join(map(str, sizes))
-    if min(sizes, default=0) < 1:
-        raise unreadable(path, f"its header says {told} voxels, which is none", "correct its header")
     if data is None or known not in ("raw", "gzip", "gz") or not skipped.isdigit():
         return  # only ITK can read these
     wanted, packed = each * math.prod(sizes), None

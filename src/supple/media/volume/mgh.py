@@ -10,10 +10,9 @@ import numpy as np
 
 from supple.errors import need, shown
 from supple.media.files import PathLike, replacing, unreadable, unwritable
-from supple.media.volume.data import Array, Volume, native, placed, reading, too_large
-from supple.media.volume.nifti import opened, writing
+from supple.media.volume.data import TO_RAS, Array, Volume, native, placed, reading
+from supple.media.volume.nifti import filled, opened, writing
 
-_TO_RAS = np.diag([-1.0, -1.0, 1.0, 1.0])  # from LPS
 _START, _FOOTER = 284, 20  # bytes before the voxels, and of the parameters of the scan behind them
 _TYPES = ("uint8", "int16", "int32", "float32")
 
@@ -44,18 +43,10 @@ def read(path: PathLike, *, header_only: bool = False) -> Volume:
         )  # fmt: skip
         if header_only:
             return outline
-        wanted = int(np.prod(sizes)) * dtype.itemsize
-        try:
-            data = file.read(wanted)
-        except (MemoryError, OverflowError) as error:
-            raise too_large(path, tuple(sizes[:3])) from error
-        if len(data) < wanted:
-            found = f"its header promises {wanted} bytes of voxels, and it has {len(data)}"
-            raise unreadable(path, found)
+        samples = native(filled(path, file, dtype, shape, _START))
         footer, tags = file.read(_FOOTER), file.read()
     whole = kind.MGHHeader(start[: header.template_dtype.itemsize - _FOOTER] + footer, check=False)
     seconds = float(whole["tr"]) / 1e3
-    samples = native(np.frombuffer(data, dtype).reshape(shape))
     return replace(outline, samples=samples, header=(whole, tags), interval=seconds if 0 < seconds < np.inf else 1.0)
 
 
@@ -76,7 +67,7 @@ def write(path: PathLike, samples: Array, like: Volume, *, force: bool = False) 
     header.set_data_dtype(samples.dtype.newbyteorder("="))
     header["dims"] = (*like.sizes, len(samples) if like.series else 1)
     if like.format != "MGH" or like.regridded:
-        matrix = _TO_RAS @ like.geometry.matrix
+        matrix = TO_RAS @ like.geometry.matrix
         steps = np.sqrt((matrix[:3, :3] ** 2).sum(axis=0))
         header["goodRASFlag"], header["delta"], header["Mdc"] = 1, steps, (matrix[:3, :3] / steps).T
         header["Pxyz_c"] = matrix[:3] @ [*(np.array(like.sizes) / 2), 1.0]

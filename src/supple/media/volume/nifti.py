@@ -8,19 +8,27 @@ import math
 import os
 import sys
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from importlib import import_module
-from importlib.util import find_spec
 from pathlib import Path
-from types import ModuleType
 from typing import IO, Any, cast
 
 import numpy as np
 
 from supple.errors import VolumeWarning, need, shown
 from supple.media.files import PathLike, head_of, replacing, unreadable
-from supple.media.volume.data import DTYPES, Array, Volume, check_spacing, located, native, placed, reading, too_large
+from supple.media.volume.data import (
+    DTYPES,
+    TO_RAS,
+    Array,
+    Volume,
+    check_spacing,
+    located,
+    native,
+    placed,
+    reading,
+    too_large,
+)
 from supple.space.geometry import Geometry
 
 _GZIP = b"\x1f\x8b"
@@ -31,33 +39,24 @@ _VECTOR = 1007  # the intent of a vector for each voxel
 LONGEST = 32_767  # an axis in the first version of the format
 _CHUNK = 1 << 22
 _SAME = 0.01  # of a voxel: the largest difference of qform and sform by rounding
-_TO_RAS = np.diag([-1.0, -1.0, 1.0, 1.0])  # from LPS
-
-
-class _Later(ModuleType):
-    """A module that is imported where something of it is used."""
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(import_module(self.__name__), name)
 
 
 def imported() -> Any:
     """Return nibabel, imported at the first use.
 
-    It imports pydicom, for an extension of NIfTI that few files have, and that takes longer than all of nibabel: it
-    gets a module that does so later.
+    It would import pydicom, for an extension of NIfTI that few files have, which takes seven times as long as all of
+    nibabel: without it, these extensions are bytes, as they are copied.
     """
     need("volume", "NIfTI files", "nibabel")
-    if sys.modules.keys() & {"nibabel", "pydicom"} or find_spec("pydicom") is None:
-        import nibabel
-
-        return nibabel
-    later = sys.modules["pydicom"] = _Later("pydicom")
-    later.__dict__["Dataset"] = object  # of which nibabel makes an alias for type checkers
+    hidden = not sys.modules.keys() & {"nibabel", "pydicom"}
+    if hidden:
+        sys.modules["pydicom"] = None  # type: ignore[assignment]
     try:
-        return import_module("nibabel")
+        import nibabel
     finally:
-        del sys.modules["pydicom"], later.__dict__["Dataset"]
+        if hidden:
+            del sys.modules["pydicom"]
+    return nibabel
 
 
 def read(path: PathLike, *, header_only: bool = False) -> Volume:
@@ -183,7 +182,6 @@ def _dtype(path: PathLike, header: Any) -> np.dtype[Any]:
 
 
 def _samples(path: PathLike, shape: tuple[int, ...], dtype: np.dtype[Any], offset: int, *, colours: bool) -> Array:
-    sizes = tuple(reversed(shape[:3]))
     wanted = offset + dtype.itemsize * math.prod(shape)
     row = dtype.itemsize * (math.prod(shape[-2:]) if colours else shape[-1])
     with opened(path) as file:
@@ -193,22 +191,27 @@ def _samples(path: PathLike, shape: tuple[int, ...], dtype: np.dtype[Any], offse
                 raise unreadable(path, f"its header promises {wanted} bytes, and it has {found}")
             _check_rest(path, wanted, found - wanted, row)
             return np.memmap(path, dtype, "r", offset, shape)
-        try:
-            samples = np.empty(shape, dtype)
-        except (MemoryError, ValueError) as error:
-            raise too_large(path, sizes) from error
         file.seek(offset)
-        flat, done = memoryview(samples.reshape(-1).view(np.uint8)), 0
-        while done < len(flat):
-            count = file.readinto(flat[done : done + _CHUNK])
-            if not count:
-                raise unreadable(path, f"its header promises {wanted} bytes, and it has {offset + done}")
-            done += count
-        rest = 0
+        samples, rest = filled(path, file, dtype, shape, offset), 0
         while count := len(file.read(_CHUNK)):  # to the end, for the checksum
             rest += count
         _check_rest(path, wanted, rest, row)
         return samples
+
+
+def filled(path: PathLike, file: IO[bytes], dtype: np.dtype[Any], shape: Sequence[int], offset: int) -> Array:
+    """Return the voxels that follow in a file, of which so many bytes are read; SuppleError if it ends before."""
+    try:
+        samples = np.empty(shape, dtype)
+    except (MemoryError, ValueError) as error:
+        raise too_large(path, tuple(shape[::-1])) from error
+    flat, done = memoryview(cast("Any", samples.reshape(-1).view(np.uint8))), 0
+    while done < len(flat):
+        count = file.readinto(flat[done : done + _CHUNK])  # type: ignore[attr-defined]
+        if not count:
+            raise unreadable(path, f"its header promises {offset + len(flat)} bytes, and it has {offset + done}")
+        done += count
+    return samples
 
 
 # nibabel takes what is left for nothing (test_sizes_smaller_than_the_data).
@@ -232,15 +235,14 @@ def _geometry(path: PathLike, first: Path, header: Any, sizes: tuple[int, ...], 
     for form in (sform, qform):
         if form is not None:
             form[:3] *= unit
-    geometry = placed(path, known, "RAS")
+    geometry, name = placed(path, known, "RAS"), shown(path)
+    others = "SimpleITK, ANTs and 3D Slicer"
     if sform is None or qform is None:
         alike = geometry.shear or np.allclose(geometry.spacing, steps, rtol=_SAME, atol=0.0)  # ITK opens no sheared one
         if sform is not None and not alike:
-            told = ["×".join(f"{x:.4g}" for x in sizes) for sizes in (geometry.spacing, steps)]
-            text = (
-                f"the sform of {shown(path)} has voxels of {told[0]} mm and its pixdim {told[1]} mm: the sform is used"
-            )
-            text += "; SimpleITK, ANTs and 3D Slicer use pixdim"
+            own, told = ("×".join(f"{x:.4g}" for x in sizes) for sizes in (geometry.spacing, steps))
+            text = f"the sform of {name} has voxels of {own} mm and its pixdim {told} mm: the sform is used; "
+            text += f"{others} use pixdim"
     else:
         corners = np.array([(*corner, 1.0) for corner in np.ndindex(2, 2, 2)]) * [*(np.array(sizes) - 1), 1]
 
@@ -250,25 +252,19 @@ def _geometry(path: PathLike, first: Path, header: Any, sizes: tuple[int, ...], 
         far = apart(sform, qform)
         if far > _SAME * min(steps) and geometry.shear:
             text = (
-                f"the axes of {shown(path)} miss right angles by {geometry.shear:.3g}°, which its sform holds, and no "
+                f"the axes of {name} miss right angles by {geometry.shear:.3g}°, which its sform holds, and no qform "
             )
-            text += f"qform can: the sform is used; SimpleITK, ANTs and 3D Slicer use the qform, up to {far:.3g} mm off"
+            text += f"can: the sform is used; {others} use the qform, up to {far:.3g} mm off"
         elif far > _SAME * min(steps):
             # Programs that share fields and landmarks read the file by ITK, whose choice depends on the codes.
             from supple.media.volume import itk
 
-            reader = itk.imported().ImageFileReader()
-            reader.SetImageIO("NiftiImageIO")
-            reader.SetFileName(os.fspath(first))
-            with itk.failing(path, "NIfTI"):
-                reader.ReadImageInformation()
-            geometry = itk.geometry_of(path, reader, "RAS")
-            by_itk = _TO_RAS @ geometry.matrix
+            geometry = itk.geometry_of(path, itk.informed(path, "NIfTI", first), "RAS")
+            by_itk = TO_RAS @ geometry.matrix
             used = "sform" if apart(by_itk, sform) <= apart(by_itk, qform) else "qform"
             text = (
-                f"the qform and the sform of {shown(path)} disagree, by up to {far:.3g} mm: the {used} is used, as by "
+                f"the qform and the sform of {name} disagree, by up to {far:.3g} mm: the {used} is used, as by {others}"
             )
-            text += "SimpleITK, ANTs and 3D Slicer"
     if text:
         warnings.warn(text, VolumeWarning, stacklevel=6)
     return geometry
@@ -355,7 +351,7 @@ def _placed(header: Any, like: Volume) -> Any:
     codes = [int(header[name]) for name in ("qform_code", "sform_code")]
     if like.geometry.convention == "array":
         return header
-    affine = _TO_RAS @ like.geometry.matrix
+    affine = TO_RAS @ like.geometry.matrix
     affine[:3] /= unit
     for set_form, code in zip((header.set_qform, header.set_sform), codes if any(codes) else (1, 1), strict=True):
         if code:
@@ -386,7 +382,7 @@ def _made(samples: Array, like: Volume) -> Any:
     else:
         header.set_data_shape((*like.sizes, len(samples)) if like.series else like.sizes)
     header.set_zooms((*spacing, like.interval) if like.series else (*spacing, 1.0, 1.0)[: len(header.get_data_shape())])
-    affine = _TO_RAS @ like.geometry.matrix
+    affine = TO_RAS @ like.geometry.matrix
     header.set_qform(affine, 1)
     header.set_sform(affine, 1)
     _check_forms(header, like)

@@ -69,8 +69,8 @@ def read(path: PathLike) -> Volume:
         raise unreadable(path, f"it is no TIFF, but {form}", "check its name")
     count = facts(image)[0]
     with series_of(path, alike=True) as (file, series), reading(path):
-        axes = axes_of(path, series).items()
-        sizes = {name: int(series.shape[k]) for k, name in axes if series.axes[k] not in "SYX"}
+        axes = axes_of(path, series)
+        sizes = {name: int(series.shape[k]) for k, name in axes.items() if series.axes[k] not in "SYX"}
         kind: str = series.kind
         own = [int(getattr(page, "index", -1)) for page in series.pages if page is None or page.parent is file]
     description, letters = _description(image), "".join(sizes)
@@ -80,9 +80,8 @@ def read(path: PathLike) -> Volume:
     if (kind == "imagej" and promised != count) or len(own) != promised or -1 in own:
         what = f"its description tells of {promised} pages, and it has {count}"
         raise unreadable(path, what, "give all of them, or correct the description")
-    if "t" in letters and "c" in letters:
-        what = f"it holds {sizes['t']} times and {sizes['c']} channels"
-        raise unreadable(path, what, "bend it to a Zarr store, or give one of them")
+    if {"t", "c"} <= set(axes.values()):
+        raise unreadable(path, "it holds channels or colours of several times", "bend it to a Zarr store")
     first, last = min(own), max(own)
     with decoding(path):
         source = pyvips.Source.new_from_file(os.fsencode(path))
@@ -96,8 +95,6 @@ def read(path: PathLike) -> Volume:
         samples = samples[np.array(own) - first]
     samples = samples.reshape(*sizes.values(), *samples.shape[1:])
     letters += "yxc"[: samples.ndim - len(letters)]
-    if len(set(letters)) < len(letters) or ("t" in letters and "c" in letters):
-        raise unreadable(path, "it holds colours of several times or channels", "bend it to a Zarr store")
     samples = samples.transpose(sorted(range(len(letters)), key=lambda k: "tzyxc".find(letters[k])))
     if "z" not in letters:
         samples = np.expand_dims(samples, "t" in letters)

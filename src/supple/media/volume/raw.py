@@ -23,17 +23,11 @@ def read_dat(path: PathLike) -> Volume:
 
     SuppleError if it is missing, or its length does not match its sizes.
     """
-    head = head_of(path, _HEAD)
-    if len(head) < _HEAD:
-        raise unreadable(path, f"it has {len(head)} bytes, and its header alone takes {_HEAD}")
+    head = head_of(path, _HEAD).ljust(_HEAD, b"\0")
     width, height, depth = (int.from_bytes(head[i : i + 2], "little") for i in (0, 2, 4))
-    count, found = _HEAD + 2 * width * height * depth, os.stat(path).st_size
-    if count != found or count == _HEAD:
-        sizes = f"{width} x {height} x {depth}"
-        told = f"its header says {sizes} samples of 16 bits, {count} bytes in all, and it has {found}"
-        advice = f"give a whole copy of it, or, if it has no such header, give {argument('layout')}"
-        raise unreadable(path, told, advice)
-    return _mapped(path, RawLayout((width, height, depth), "<u2", offset=_HEAD))
+    if not width * height * depth:
+        raise unreadable(path, f"its header says {width} x {height} x {depth} voxels, which is none")
+    return read(path, RawLayout((width, height, depth), "<u2", offset=_HEAD))
 
 
 def read(path: PathLike, layout: RawLayout | None) -> Volume:
@@ -50,7 +44,7 @@ def read(path: PathLike, layout: RawLayout | None) -> Volume:
     if wanted != found:
         after = f" after {layout.offset} bytes" if layout.offset else ""
         told = f"{width} x {height} x {depth} voxels of {dtype.name}{after} take {wanted} bytes, and it has {found}"
-        raise unreadable(path, told, "check --shape and --dtype (RawLayout)")
+        raise unreadable(path, told, "give a whole copy of it, or other --shape and --dtype (RawLayout)")
     return _mapped(path, layout)
 
 
