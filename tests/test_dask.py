@@ -113,13 +113,6 @@ def test_zarr_arrays(
     assert_equal(made, bent)
 
 
-def test_results_go_to_zarr(bend: supple.Deformation, bent: Array, tmp_path: Path) -> None:
-    made = warp(stored(tmp_path, VOLUME, chunks=(16, 32, 32)), bend)
-    target = zarr.create_array(str(tmp_path / "bent.zarr"), shape=SHAPE, dtype="u2", chunks=(16, 32, 32))
-    da.store(made, target, scheduler="threads", lock=False)
-    assert np.array_equal(target[...], bent)
-
-
 def test_numpy_arrays_and_memory_maps(bend: supple.Deformation, bent: Array, tmp_path: Path) -> None:
     assert warp(VOLUME, bend).numblocks == (1, 1, 1)
     assert_equal(warp(VOLUME, bend), bent)
@@ -127,30 +120,6 @@ def test_numpy_arrays_and_memory_maps(bend: supple.Deformation, bent: Array, tmp
     mapped = np.load(tmp_path / "volume.npy", mmap_mode="r")
     assert_equal(warp(mapped, bend, chunks=(20, 64, 64)), bent)
     assert_equal(warp(VOLUME[::-1, :, ::-1], bend, chunks=32), bend.warp(VOLUME[::-1, :, ::-1]))
-
-
-@pytest.mark.parametrize("dtype", ["?", "u1", "i2", ">i2", "i4", "f2", "f4", ">f4", "f8"])
-def test_types(dtype: str) -> None:
-    d = supple.Deformation((60, 80)).grab((30, 30), by=(6, 3), radius=9)
-    source = (RNG.random((60, 80)) * 2).astype(dtype)
-    expected = d.warp(source)
-    assert_equal(warp(source, d, chunks=25), expected)
-    assert_equal(warp(da.from_array(source, 17), d), expected)
-
-
-@pytest.mark.parametrize(
-    "options",
-    [
-        {"filter": "cubic", "outside": "reflect", "between": "cubic"},
-        {"filter": "nearest", "outside": "constant", "fill": 9},
-        {"filter": "linear", "time_filter": True, "tolerance": 0.1},
-        {"filter": "linear", "between": "nearest"},
-    ],
-)
-def test_sampling(options: dict[str, Any]) -> None:
-    d = supple.Deformation(SHAPE, border=None).grab((45, 35, 20), by=(15, -3, 4), radius=12)
-    d = d.affine([[1, 0.2, 0, 4], [0, 1, 0, -6], [0, 0, 1.2, 2]])
-    assert_equal(warp(da.from_array(VOLUME, 32), d, **options), d.warp(VOLUME, **options))
 
 
 # Axes.
@@ -192,21 +161,6 @@ def test_other_grids(bend: supple.Deformation, spacing: float) -> None:
     for made in (warp(da.from_array(VOLUME, 32), bend, grid), warp(VOLUME, bend, grid, 25)):
         assert made.shape == grid.shape
         assert_equal(made, expected)
-
-
-def test_a_part_of_the_grid(bend: supple.Deformation, bent: Array) -> None:
-    part = bend.grid.crop((30, 20, 10), (40, 30, 20))
-    assert_equal(warp(da.from_array(VOLUME, 32), bend, part), bent[10:30, 20:50, 30:70])
-
-
-def test_fields_and_affine_maps() -> None:
-    rng = np.random.default_rng(5)
-    field = drawn(rng, supple.Grid((8, 11, 14), 8.0, (-8.0,) * 3), 0.4, interpolation="cubic", beyond="edge")
-    d = supple.Deformation(SHAPE, border=None).field(field, inverse=True)
-    d = d.affine(np.c_[np.eye(3), (1, 2, 3)]).grab((45, 35, 20), by=(5, -3, 2), radius=9)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", OutsideWarning)
-        assert_equal(warp(da.from_array(VOLUME, (20, 40, 90)), d), d.warp(VOLUME))
 
 
 # xarray.

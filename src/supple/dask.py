@@ -27,6 +27,7 @@ from dask.highlevelgraph import HighLevelGraph  # noqa: E402
 __all__ = ["warp"]
 
 _DEFAULT = 1 << 26  # bytes of a block of an array without chunks
+_TOGETHER = 16  # blocks of which one task finds the parts
 
 
 def warp(
@@ -158,14 +159,14 @@ def _warped(array: Any, job: Warp, chunks: Any, first: int, stacklevel: int = 4)
     return da.Array(layers, name, blocks, meta=meta)  # type: ignore[no-untyped-call]
 
 
-def _everywhere(job: Warp, parts: Sequence[Sequence[Box]]) -> list[list[Read]]:
+def _everywhere(job: Warp, boxes: Sequence[Box]) -> list[Read]:
     """Find the parts that blocks read, by Dask: on the threads here, or the cluster that is connected."""
-    if len(parts) == 1:
-        return [job.all_reads(parts[0])]
+    if len(boxes) <= _TOGETHER:
+        return job.all_reads(boxes)
     # The map, which may hold a large field, is sent once, and not with each task.
-    held = dask.delayed(job, traverse=False)  # type: ignore[attr-defined]
-    found = dask.compute(*[dask.delayed(Warp.all_reads)(held, part) for part in parts])  # type: ignore[attr-defined, no-untyped-call]
-    return list(found)
+    held, all_reads = dask.delayed(job, traverse=False), dask.delayed(Warp.all_reads)  # type: ignore[attr-defined]
+    parts = [boxes[k : k + _TOGETHER] for k in range(0, len(boxes), _TOGETHER)]
+    return list(itertools.chain(*dask.compute(*[all_reads(held, part) for part in parts])))  # type: ignore[attr-defined, no-untyped-call]
 
 
 def _chunks(

@@ -326,13 +326,13 @@ WRONG: dict[str, tuple[Callable[[], object], str, Recipe, str]] = {
     ),
     "palette": (
         lambda: tifffile.imwrite("in.tif", noise((8, 9), "uint8"), colormap=np.zeros((3, 256), np.uint16)),
-        "in.tif", FLAT, "its colours are a palette",
+        "in.tif", FLAT, "its samples are colours of a palette",
     ),
     "negative": (
         lambda: tifffile.imwrite("in.tif", noise((8, 9), "uint8"), photometric="miniswhite"),
-        "in.tif", FLAT, "its samples are stored as negatives",
+        "in.tif", FLAT, "negatives",
     ),
-    "turned": (turned_tiff, "in.tif", FLAT, "its rows and columns are stored turned"),
+    "turned": (turned_tiff, "in.tif", FLAT, "or stored turned"),
     "axes": (
         lambda: tifffile.imwrite("in.tif", noise((2, 3, 8, 9), "uint8"), ome=True, metadata={"axes": "AZYX"}),
         "in.tif", FLAT, "its axes are 2 ",

@@ -24,7 +24,7 @@ from supple.files.tasks import Runner, Running, runner_of
 from supple.files.volumes import deformation_of, filtered
 from supple.media.files import is_store, unreadable
 from supple.media.stores.image import StoredImage, open_image
-from supple.media.stores.inputs import Samples, like_file
+from supple.media.stores.inputs import Samples, grow, like_file
 from supple.media.volume import Volume
 from supple.space.geometry import Geometry, Grid
 from supple.strokes import fit_recipe
@@ -214,16 +214,10 @@ def task_shape(
     They grow along the axes of space first, the shortest before the others, since a task that has several of the
     positions that are carried along reads no less for each.
     """
-    whole = math.prod(shape) * itemsize
-    most = min(limit or TASK, whole / (_TURNS * slots))
+    most = min((limit or TASK) / itemsize, math.prod(shape) / (_TURNS * slots))
     sizes = [min(a, b) for a, b in zip(block, shape, strict=True)]
     for axes in (range(carried, len(shape)), range(carried)):
-        while growing := [k for k in axes if sizes[k] < shape[k]]:
-            k = min(growing, key=lambda axis: sizes[axis])
-            wider = min(-(-sizes[k] // block[k]) * 2 * block[k], shape[k])
-            if math.prod(sizes) // sizes[k] * wider * itemsize > most:
-                break
-            sizes[k] = wider
+        grow(sizes, shape, axes, most, lambda k: min(-(-sizes[k] // block[k]) * 2 * block[k], shape[k]))
     return tuple(sizes)
 
 
@@ -244,7 +238,7 @@ def portions(chunks: Sequence[Sequence[int]]) -> Iterator[list[Box]]:
 
 def plan_boxes(warp: Warp, boxes: Sequence[Box], runner: Runner) -> tuple[list[Block], Certificate]:
     """Find what blocks read, which together are whole layers."""
-    return warp.plan(boxes, lambda warp, parts: runner.each(Warp.all_reads, warp, parts, lambda: None))
+    return warp.plan(boxes, lambda warp, boxes: runner.each(Warp.reads, warp, boxes, lambda: None))
 
 
 def whole_chunks(part: Box, shape: Sequence[int], chunks: Sequence[int] | None) -> int:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import glob
 import hashlib
 import itertools
-import json
 import math
 import os
 import warnings
@@ -254,19 +253,12 @@ def _name(source: Source, warp: Warp, job: Job) -> str:
     image = source.image
     place, deformation = Place(image.address), warp.deformation
     grid = deformation.grid if warp.grid is None else warp.grid
-    facts = {
-        "shape": image.shape,
-        "type": str(image.dtype),
-        "space": len(image.spatial),
-        "recipe": job.recipe.to_json(),
-        "size": deformation.shape,
-        "sampling": repr(warp.sampling),
-        "options": repr(replace(job.volume, save_field=None)),
-        "grid": [grid.shape, grid.spacing, grid.origin, grid.direction, grid.first],
-        "place": [place.parts, place.address.rpartition("::")[0] if place.folder is None else ""],
-        "changed": _changed(image, place.folder),
-    }
-    digest = hashlib.sha256(json.dumps(facts, sort_keys=True, default=float).encode())
+    facts = (
+        image.shape, str(image.dtype), len(image.spatial), job.recipe.to_json(), deformation.shape, warp.sampling,
+        replace(job.volume, save_field=None), grid.shape, grid.matrix.tolist(), grid.first,
+        place.parts, place.address.rpartition("::")[0] if place.folder is None else "", _changed(image, place.folder),
+    )  # fmt: skip
+    digest = hashlib.sha256(repr(facts).encode())
     for each in deformation.maps:
         element = each.map
         digest.update(repr((each.inverse, each.after)).encode())
@@ -327,7 +319,7 @@ def _write_block(work: Work, item: tuple[Box, Block]) -> tuple[Literal["done", "
     """Write a block; return whether it was there, was copied or computed, and the bytes of what was read for it."""
     lead, block = item
     target = work.target
-    _check_seen(work.place, target)
+    check_seen(work.place, target.site)
     box, part = (*lead, *block.box), (*lead, *block.part)
     if target.begun and target.is_done(0, box):
         return "done", 0
@@ -339,12 +331,6 @@ def _write_block(work: Work, item: tuple[Box, Block]) -> tuple[Literal["done", "
         samples = np.asarray(work.samples[tuple(slice(*each) for each in part)])
     target.write(0, box, work.warp.block(samples, block, work.carried))
     return "read", whole_chunks(part, work.samples.shape, work.samples.chunks) * samples.itemsize
-
-
-def _check_seen(source: Place, target: Target) -> None:
-    """Raise SuppleError on a worker that does not see the folders."""
-    check_seen(source.address, source.folder)
-    check_seen(target.address, target.site.folder)
 
 
 def _write_levels(work: Work, runner: Runner, tell: Tell, mode: Mode) -> None:
@@ -363,6 +349,6 @@ def _write_levels(work: Work, runner: Runner, tell: Tell, mode: Mode) -> None:
 
 def _reduce_block(work: Work, item: tuple[int, Box, Mode]) -> None:
     level, box, mode = item
-    _check_seen(work.place, work.target)
+    check_seen(work.place, work.target.site)
     if not (work.target.begun and work.target.is_done(level, box)):
         work.target.reduce(level, box, mode)

@@ -100,10 +100,7 @@ def _placed(
     placed = [(scales.tolist(), list(map(float, translation)))]
     for level, step in zip(like.levels[1:], steps, strict=False):
         factors = factors * [axis.factor for axis in step]
-        offset = (np.array(level.translation) - first.translation) / first.scale
-        centred = (factors - 1) / 2
-        offset = np.where(np.abs(offset - centred) < 0.01 * factors, centred, offset)
-        offset = np.where(np.abs(offset) < 1e-6, 0, offset)
+        offset = np.round((np.array(level.translation) - first.translation) / first.scale, 3)  # without noise
         placed.append(((scales * factors).tolist(), (np.array(translation) + offset * scales).tolist()))
     return placed
 

@@ -130,13 +130,7 @@ def _claim(place: Place, job: str, force: bool) -> tuple[Place, bool]:
     folder = site.folder
     if folder is not None:
         _hold(place, folder)
-        try:  # once more, since another process may have had it until now
-            site, begun = _look(place, job, force)
-        except SuppleError:
-            with contextlib.suppress(OSError):  # it is not empty
-                os.unlink(folder / LOCK)
-                os.rmdir(folder)
-            raise
+        site, begun = _look(place, job, force)  # once more, since another process may have had it until now
     if not begun:
         store = site.store(read_only=False)
         _mark(store, "")  # if clearing is interrupted, what is left is of no job
@@ -146,7 +140,7 @@ def _claim(place: Place, job: str, force: bool) -> tuple[Place, bool]:
 
 
 def _look(place: Place, job: str, force: bool) -> tuple[Place, bool]:
-    """Return where an output is written, and whether the same job has begun it.
+    """Return where an output is written, and whether the same job has begun it, so that it can be continued.
 
     SuppleError if something else is there that is not to be replaced.
     """
@@ -155,13 +149,11 @@ def _look(place: Place, job: str, force: bool) -> tuple[Place, bool]:
         target = check_store(place.folder if "://" in place.address else place.address, force=force)
         site = Place(target.with_name(f"{target.name}.partial"))
     if marker := site.marker():
-        if marker["job"] == job and site.atomic:
-            return site, True
+        if marker["job"] == job:
+            return site, site.atomic  # where an object may be incomplete, it begins anew
         if not force:
             name = "it" if site.folder is None else shown(site.folder.name)
             what = f"{name} is the unfinished output of another job"
-            if marker["job"] == job:
-                what = "it is unfinished, and objects there may be incomplete"
             raise place.unwritable(what, f"choose another name, or {argument('force', True)}, which starts anew")
     elif site.folder is not None:
         # killed before the marker was there, a process left nothing else
@@ -185,15 +177,11 @@ def _hold(place: Place, folder: Path) -> None:
     """Make a folder, and lock it within `holding`; SuppleError if another process has locked it."""
     folder.mkdir(exist_ok=True)
     stack = _HOLDS.get()
-    while stack is not None and sys.platform != "win32":  # where a folder with an open file cannot be renamed
-        with contextlib.suppress(FileNotFoundError):  # another process has just finished: that folder has its name
-            if (file := locked(folder / LOCK)) is None:
-                what = "it is being written by another process"
-                raise place.unwritable(what, "wait until that has ended, or choose another name")
-            stack.enter_context(file)
-            if os.path.samestat(os.fstat(file.fileno()), os.stat(folder / LOCK)):
-                return
-        folder.mkdir(exist_ok=True)
+    if stack is not None and sys.platform != "win32":  # where a folder with an open file cannot be renamed
+        if (file := locked(folder / LOCK)) is None:
+            what = "it is being written by another process"
+            raise place.unwritable(what, "wait until that has ended, or choose another name")
+        stack.enter_context(file)
 
 
 def _clear(site: Place, store: Any) -> None:
@@ -289,19 +277,14 @@ class Target:
         ends = zip(box, factors, source.shape, strict=True)
         region = [(a * factor, min(b * factor, size)) for (a, b), factor, size in ends]
         values = np.empty([b - a for a, b in box], source.dtype)
-        # slab by slab, since many shards are read for one; and plane by plane, since sums are wider than samples
+        # slab by slab, since many shards are read for one
         k = self._carried
-        step, factor = self.arrays[level].chunks[k], factors[k]
-        first, end = region[k]
+        step, (first, end) = self.arrays[level].chunks[k], region[k]
         for at in range(0, values.shape[k], step):
-            start, stop = first + at * factor, min(first + (at + step) * factor, end)
+            region[k] = first + at * factors[k], min(first + (at + step) * factors[k], end)
             with self._place.reading(f"its level {level - 1} cannot be read"):
-                slab = np.asarray(
-                    source[tuple(slice(*span) for span in (*region[:k], (start, stop), *region[k + 1 :]))]
-                )
-            for plane in range(-(-(stop - start) // factor)):
-                some = (slice(None),) * k + (slice(plane * factor, (plane + 1) * factor),)
-                values[(slice(None),) * k + (slice(at + plane, at + plane + 1),)] = reduced(slab[some], factors, mode)
+                slab = np.asarray(source[tuple(slice(*span) for span in region)])
+            values[(slice(None),) * k + (slice(at, at + step),)] = reduced(slab, factors, mode)
         self.write(level, box, values)
 
     def put_labels(self, names: Sequence[str], version: str) -> None:
