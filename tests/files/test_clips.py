@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import warnings
 from dataclasses import replace
-from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
@@ -134,26 +133,6 @@ def test_packets_that_do_not_fit_are_not_copied(here: Path, codec: str, target: 
     made = warp_file(source, target, local, clip=options)
     assert made.still > 0 == made.copied
     assert len(clips.decoded(target)) == 60
-
-
-def test_sound_times_and_frames_come_through(here: Path) -> None:
-    times = [0, 40, 90, 120, 200, 210, 260, 300, 333, 360, 400, 450]
-    clips.make("in.mp4", count=12, audio="aac", times=times, base=Fraction(1, 1000))
-    made = warp_file("in.mp4", "out.mp4", TIMED)
-    assert made.frames == len(clips.decoded("out.mp4")) == 12
-    assert clips.when("in.mp4") == clips.when("out.mp4")
-    assert clips.parcels("in.mp4", "audio") == clips.parcels("out.mp4", "audio")
-    assert info("out.mp4")["codec"] == "h264"
-
-
-def test_lossless_is_ffv1(run: Run) -> None:
-    clips.make("in.mp4", count=4)
-    assert run("warp", "in.mp4", "out.mkv", *GRAB_2D, "--lossless") == (0, "", "")
-    assert info("out.mkv")["codec"] == "ffv1"
-    frames = np.stack([f.to_ndarray()[:48] for f in clips.decoded("in.mp4")])
-    d = supple.Deformation.from_recipe(FLAT, (48, 64))
-    got = np.stack([f.to_ndarray()[:48] for f in clips.decoded("out.mkv")])
-    np.testing.assert_array_equal(got, np.stack([d.warp(frame) for frame in frames]))
 
 
 def test_options_reach_the_sampler_and_the_encoder(run: Run) -> None:

@@ -77,9 +77,7 @@ def test_one_frame_decodes_no_more_than_it_needs(here: Path, monkeypatch: pytest
     clips.make("in.mkv", "libx264", count=200, smooth=False, options={"g": "10", "bf": "0"})
     decoded = []
     check = supple.media.video.Clip._check
-    monkeypatch.setattr(
-        supple.media.video.Clip, "_check", lambda self, frame, k, keys: decoded.append(check(self, frame, k, keys))
-    )
+    monkeypatch.setattr(supple.media.video.Clip, "_check", lambda *given: decoded.append(check(*given)))
     local = Recipe(strokes=(Stroke.grab((30, 20, 150), to=(33, 22, 152), radius=4),))
     made = warp_file("in.mkv", "one.png", local, frame=151)
     assert made.held < 20

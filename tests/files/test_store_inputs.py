@@ -274,16 +274,6 @@ def interrupted(*_: object) -> None:
     raise KeyboardInterrupt
 
 
-def test_plans_are_of_what_would_be_written() -> None:
-    tifffile.imwrite("in.tif", noise((64, 96), "uint16"), tile=(16, 16), compression="zlib")
-    reach = Recipe(strokes=[Stroke.grab((30, 22), to=(34, 25), radius=3, reach=2)])
-    planned = plan_file(Job("in.tif", "", reach))
-    made = warp_store("in.tif", "out.zarr", reach)
-    assert (planned.blocks, planned.shape, planned.dtype) == (made.blocks, made.shape, "uint16")
-    assert 0 < planned.copied < planned.blocks
-    assert planned.read >= 16 * 16 * 2
-
-
 def turned_tiff() -> None:
     tifffile.imwrite("in.tif", noise((8, 9), "uint8"), extratags=[(274, 3, 1, 6, True)])
 

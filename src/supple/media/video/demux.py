@@ -19,6 +19,7 @@ from typing import Any
 import av
 from av.format import Flags as FormatFlags
 
+from supple import errors
 from supple.media.codecs import codec_of
 from supple.media.files import PathLike, unreadable
 
@@ -34,8 +35,7 @@ _PICTURES = av.stream.Disposition.attached_pic | av.stream.Disposition.timed_thu
 
 def said(error: Exception) -> str:
     """Return the reason in an error of FFmpeg."""
-    text = getattr(error, "strerror", None) or str(error) or type(error).__name__
-    return re.sub(r"\s+", " ", str(text)).strip().rstrip(".").replace("[Errno", "[error")
+    return str(getattr(error, "strerror", None) or errors.said(error)).replace("[Errno", "[error")
 
 
 def opened(path: PathLike) -> av.container.InputContainer:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import math
 import os
 import re
@@ -81,80 +80,6 @@ def _held(container: Container) -> set[str]:
     return {name for name in listed if (found := _found(name)) and found.canonical_name not in container.refused}
 
 
-def _named(target: PathLike, container: Container, codec: str | None, source: str, lossless: bool, exact: bool) -> str:
-    """Return an encoder: the user's, or the source's, or the container's default.
-
-    `lossless` is true if the source's codec is lossless, `exact` if the output is to be. SuppleError for an unknown
-    encoder, or if the container does not support its codec.
-    """
-    held, usable = _held(container), _usable(container)
-    if codec is not None:
-        advice = f"use {_exact_in(container) if exact else ', '.join(usable)}"
-        asked = ALIASES.get(codec.lower(), codec.lower())
-        encoder = _found(codec_of(asked).encoder or asked)
-        if encoder is None:
-            raise unwritable(target, f"no video encoder is called {shown(codec)}", advice)
-        if encoder.name not in held:
-            raise unwritable(target, f"{Path(target).suffix} cannot hold {encoder.canonical_name}", advice)
-        return encoder.name
-    if source in usable:
-        return usable[source]
-    own = _found(source)
-    if own is not None and own.name in held and source != "rawvideo" and not own.experimental:
-        return own.name
-    return usable.get(container.keeping if lossless else "") or CODECS[container.usual].encoder
-
-
-def _options(
-    target: PathLike,
-    encoder: Encoder,
-    container: Container,
-    crf: float | None,
-    preset: str | None,
-    workers: int,
-    lossless: bool = False,
-) -> dict[str, str]:
-    """Return the settings of an encoder; SuppleError if it has no such factor or preset, or is not lossless."""
-    name, chosen = encoder.name, {**encoder.options, **container.options}
-    if lossless:
-        chosen |= _exact(target, encoder, container, crf)
-    elif encoder.crf:
-        low, high, usual = encoder.crf
-        quality = usual if crf is None else crf
-        if not low <= quality <= high:
-            raise unwritable(target, f"crf {crf:g} is none of {name}'s", f"choose from {low} (best) to {high}")
-        chosen["crf"] = f"{quality:g}"
-    elif crf is not None:
-        raise unwritable(target, f"{name} has no crf", _without(container, "crf"))
-    if encoder.presets:
-        chosen["preset"] = encoder.preset if preset is None else str(preset)
-        if chosen["preset"] not in encoder.presets:
-            raise unwritable(target, f"{name} has no preset {shown(str(preset))}", f"use {', '.join(encoder.presets)}")
-    elif preset is not None:
-        raise unwritable(target, f"{name} has no presets", _without(container, "presets"))
-    if name == "libsvtav1" and int(chosen["preset"]) >= HASTY and float(chosen.get("crf", 0)) < FINE_CRF:
-        when = "if lossless" if lossless else f"below crf {FINE_CRF}"
-        or_else = "" if lossless else f", or crf {FINE_CRF} or more"
-        what = f"{name} with preset {chosen['preset']} fails {when}"
-        raise unwritable(target, what, f"use preset {HASTY - 1} or less{or_else}")
-    if encoder.threads:
-        chosen[encoder.params] = _joined(chosen.get(encoder.params), encoder.threads.format(workers))
-    return chosen
-
-
-def _exact(target: PathLike, encoder: Encoder, container: Container, crf: float | None) -> dict[str, str]:
-    """Return the options that make an encoder lossless."""
-    if crf is not None:
-        raise unwritable(target, f"crf {crf:g} is for what may lose something", "leave out either it or lossless")
-    if encoder.exact is not None:
-        return dict(encoder.exact)
-    found = _found(encoder.name)
-    if found is None or encoder.name == "gif" or found.lossy or not found.lossless:
-        advice = f"use {_exact_in(container)}, or leave out lossless"
-        raise unwritable(target, f"{encoder.codec} always loses something", advice)
-    return {}
-
-
 def _joined(*parts: str | None) -> str:
     return ":".join(part for part in parts if part)
 
@@ -216,7 +141,7 @@ class WritePlan:
         self.video, self.target, self.workers, self.lossless = video, target, workers, lossless
         self.container = container_of(target)
         wanted = (self.container.exact or None) if lossless and codec is None else codec
-        name = _named(target, self.container, wanted, video.codec, video.lossless, lossless)
+        name = self._named(wanted)
         self._use(name, crf, preset)
         self.base = self._base()
         self._asked, self._why = pixel_format, ""
@@ -260,13 +185,67 @@ class WritePlan:
         only = f"{source} is only read" if own is None or own.name in _held(self.container) else ""
         self.warn(f"is written as {used}: {self._why or only or f'{Path(self.target).suffix} cannot hold {source}'}")
 
+    def _named(self, codec: str | None) -> str:
+        """Return an encoder: the user's, or the source's, or the container's default.
+
+        SuppleError for an unknown encoder, or if the container does not support its codec.
+        """
+        container, source = self.container, self.video.codec
+        held, usable = _held(container), _usable(container)
+        if codec is not None:
+            advice = f"use {_exact_in(container) if self.lossless else ', '.join(usable)}"
+            asked = ALIASES.get(codec.lower(), codec.lower())
+            encoder = _found(codec_of(asked).encoder or asked)
+            if encoder is None:
+                raise unwritable(self.target, f"no video encoder is called {shown(codec)}", advice)
+            if encoder.name not in held:
+                raise unwritable(
+                    self.target, f"{Path(self.target).suffix} cannot hold {encoder.canonical_name}", advice
+                )
+            return encoder.name
+        if source in usable:
+            return usable[source]
+        own = _found(source)
+        if own is not None and own.name in held and source != "rawvideo" and not own.experimental:
+            return own.name
+        return usable.get(container.keeping if self.video.lossless else "") or CODECS[container.usual].encoder
+
     def _use(self, name: str, crf: float | None, preset: str | None) -> None:
-        """Choose an encoder."""
+        """Choose an encoder, and its settings; SuppleError if it has no such factor or preset, or is not lossless."""
         found = av.Codec(name, "w")
-        self.encoder = ENCODERS.get(name) or Encoder(name, found.canonical_name)
-        self.options = _options(self.target, self.encoder, self.container, crf, preset, self.workers, self.lossless)
-        self.fields = self.video.fields if self.encoder.fields else ""  # that are coded as fields
+        self.encoder = encoder = ENCODERS.get(name) or Encoder(name, found.canonical_name)
+        self.fields = self.video.fields if encoder.fields else ""  # that are coded as fields
         self._lossy = (found.lossy or not found.lossless) and not self.lossless
+        container, target = self.container, self.target
+        self.options = chosen = {**encoder.options, **container.options}
+        if self.lossless:
+            if crf is not None:
+                what = f"crf {crf:g} is for what may lose something"
+                raise unwritable(target, what, "leave out either it or lossless")
+            if encoder.exact is None and (name == "gif" or found.lossy or not found.lossless):
+                advice = f"use {_exact_in(container)}, or leave out lossless"
+                raise unwritable(target, f"{encoder.codec} always loses something", advice)
+            chosen |= encoder.exact or {}
+        elif encoder.crf:
+            low, high, usual = encoder.crf
+            quality = usual if crf is None else crf
+            if not low <= quality <= high:
+                raise unwritable(target, f"crf {crf:g} is none of {name}'s", f"choose from {low} (best) to {high}")
+            chosen["crf"] = f"{quality:g}"
+        elif crf is not None:
+            raise unwritable(target, f"{name} has no crf", _without(container, "crf"))
+        if encoder.presets:
+            chosen["preset"] = encoder.preset if preset is None else str(preset)
+            if chosen["preset"] not in encoder.presets:
+                what = f"{name} has no preset {shown(str(preset))}"
+                raise unwritable(target, what, f"use {', '.join(encoder.presets)}")
+        elif preset is not None:
+            raise unwritable(target, f"{name} has no presets", _without(container, "presets"))
+        if name == "libsvtav1" and int(chosen["preset"]) >= HASTY and float(chosen.get("crf", 0)) < FINE_CRF:
+            what = f"{name} with preset {chosen['preset']} fails if lossless, or below crf {FINE_CRF}"
+            raise unwritable(target, what, f"use preset {HASTY - 1} or less")
+        if encoder.threads:
+            chosen[encoder.params] = _joined(chosen.get(encoder.params), encoder.threads.format(self.workers))
 
     def _matched(self, asked: str | None) -> Match:
         """Return the chosen pixel format."""
@@ -291,11 +270,7 @@ class WritePlan:
             if self.fields:  # which encoders take in some sizes only
                 self.fields = ""
                 return self._matched(asked)
-            if self._starts():
-                raise
-            what = f"{encoder.name} cannot be started here: it needs a device or a driver that is missing"
-            advice = f"use another codec, such as {self.container.usual}"
-            raise unwritable(self.target, what, advice) from None
+            raise
         strange = made.colour.full(made.form) or made.colour.coefficients(video.height) not in (told.matrix, 5)
         if not lossy and made.form.kind.family == "yuv" and told != Colour() and strange:
             self.warn("cannot say what its colours mean, and may look different")
@@ -420,18 +395,6 @@ class WritePlan:
             return [name for name in names if not ((found := form(name)) and found.kind.alpha)]
         return names
 
-    def _starts(self) -> bool:
-        """Return whether the encoder opens at all."""
-        context = av.CodecContext.create(self.encoder.name, "w")
-        assert isinstance(context, av.VideoCodecContext)
-        context.width, context.height, context.time_base = 1280, 720, Fraction(1, 25)
-        for name in _pixel_formats(self.encoder.name) or ["yuv420p"]:
-            context.pix_fmt = name
-            with contextlib.suppress(av.FFmpegError, ValueError):
-                open_encoder(context)
-                return True
-        return False
-
     def opens(self, chosen: Match) -> bool:
         """Return whether the encoder opens with a match."""
         context = av.CodecContext.create(self.encoder.name, "w")
@@ -501,7 +464,7 @@ def _nearest(plan: WritePlan, names: list[str], asked: str | None, exact: bool, 
         first = first or made
     advice = "use another pixel format" if asked is not None else "use another codec, such as ffv1 in .mkv"
     what = f" in {asked}" if asked is not None else ""
-    raise unwritable(target, f"{encoder} does not take frames of {size}{what}", advice)
+    raise unwritable(target, f"{encoder} does not take frames of {size}{what}, or cannot start here", advice)
 
 
 def _cost(source: Form, colour: Colour, to: Form) -> tuple[float, ...]:
