@@ -123,15 +123,11 @@ def _pair(paths: Sequence[str]) -> tuple[str, str]:
 def _check(job: Job, paths: Sequence[str]) -> None:
     """Raise SuppleError for an option that does not apply to stores; the message names it."""
     from supple.errors import argument
-    from supple.files.jobs import asked
-    from supple.files.options import ClipOptions
+    from supple.files.jobs import OPTIONS, asked
     from supple.media.files import is_store
 
-    names = [argument(name) for name in ("linear_light", "quality", "lossless", "compression") if getattr(job, name)]
-    if job.clamp is not None:
-        names.append(argument("clamp", job.clamp))
-    if job.clip != ClipOptions():
-        names.append(asked("clip", job.clip))
+    given = {name: (getattr(job, name), usual) for name, (usual, _) in OPTIONS.items() if name != "volume"}
+    names = [asked(name, value) for name, (value, usual) in given.items() if value != usual]
     if is_store(paths[0]):
         names += [argument(name) for name in ("series", "layout") if getattr(job.volume, name) is not None]
     if job.device not in ("cpu", "auto"):

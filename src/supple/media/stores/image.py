@@ -251,8 +251,7 @@ def _check_samples(place: Place, array: Any, name: str) -> None:
 def _labels(place: Place, group: Any) -> tuple[str, ...]:
     try:
         with quiet():
-            attributes = dict(group[LABELS].attrs)
-        listed = attributes.get("ome", attributes).get(LABELS)
+            listed = ome_of(dict(group[LABELS].attrs)).get(LABELS)
     except KeyError:
         return ()
     except Exception as error:  # damaged, or not to be reached: the image itself can be read

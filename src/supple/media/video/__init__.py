@@ -20,6 +20,7 @@ need("video", "videos and image sequences", "av")
 import av
 import numpy as np
 
+from supple._core import threads as all_threads
 from supple.engine.work import Array
 from supple.media.base import ClipWarning, CountError, LazyFrame
 from supple.media.codecs import codec_of
@@ -39,7 +40,7 @@ from supple.media.video.colour import (
     to_rgb,
 )
 from supple.media.video.encode import writer
-from supple.media.video.plan import container_of, workers
+from supple.media.video.plan import container_of
 from supple.media.video.planes import form, palette, unpack, wider
 from supple.media.video.source import VideoSource
 from supple.media.video.streams import named
@@ -58,7 +59,7 @@ class Clip(VideoSource):
     source: av.container.InputContainer
 
     def __init__(self, path: PathLike, threads: int | None, count: int | None) -> None:
-        self._threads = workers(threads)
+        self._threads = threads or all_threads()
         self._pump: Iterator[av.Packet[Any]] | None = None
         self._times: demux.Times | None = None
         self._packets: deque[av.Packet[Any] | None] = deque()

@@ -19,7 +19,7 @@ from supple.media.files import PathLike, check_output, replacing, unwritable
 from supple.media.sequence import Pictures
 from supple.media.video.colour import Colour, filtered, recast, sited
 from supple.media.video.demux import said, usual_step
-from supple.media.video.plan import Match, WritePlan, container_of, open_encoder, workers
+from supple.media.video.plan import Match, WritePlan, container_of, open_encoder
 from supple.media.video.planes import form, pack
 from supple.media.video.source import Stills, VideoSource
 from supple.media.video.streams import Passage, kept_tags, titled
@@ -284,13 +284,8 @@ def writer(
     clip: VideoSource | Pictures,
     target: PathLike,
     *,
-    codec: str | None = None,
-    crf: float | None = None,
-    preset: str | None = None,
-    pixel_format: str | None = None,
     force: bool = False,
-    threads: int | None = None,
-    lossless: bool = False,
+    **settings: Any,
 ) -> Iterator[Sink]:
     """Write a clip with new frames and its other contents; or write images as a film.
 
@@ -298,16 +293,12 @@ def writer(
     ``frames``. SuppleError if an option is not supported, or the file cannot be written; a `ClipWarning` if a part of
     the source cannot be kept. Images have their constant rate; their opacity is kept if the codec supports it.
 
-    The suffix of ``target`` chooses MP4, MOV, MKV, WebM, AVI or GIF. ``codec`` names a codec or an encoder, such as
-    ``"h264"``, ``"libx264"``, ``"ffv1"``: by default that of the source, or the default of the container; ``crf`` is
-    its constant rate factor (lower is better), and ``preset`` its preset of speed. ``pixel_format`` is by default that
-    of the source, or the nearest of the codec; lossy codecs write images as YUV, in 4:2:0 if possible, in the limited
-    range of BT.709. With ``lossless``, it is FFV1, unless a lossless codec is named.
+    The suffix of ``target`` chooses MP4, MOV, MKV, WebM, AVI or GIF; ``settings`` are those of `WritePlan`.
     """
     container_of(target)
     check_output(target, force=force)
     video = clip if isinstance(clip, VideoSource) else Stills(clip)
-    plan = WritePlan(video, target, codec, crf, preset, pixel_format, workers(threads), lossless)
+    plan = WritePlan(video, target, **settings)
     with replacing(target, force=force) as temporary:
         sink = None
         try:

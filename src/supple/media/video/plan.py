@@ -125,20 +125,29 @@ class Match:
 
 
 class WritePlan:
-    """The settings of a clip's output, all checked; parameters as in `writer`."""
+    """The settings of a clip's output, all checked.
+
+    ``codec`` names a codec or an encoder, such as ``"h264"``, ``"libx264"``, ``"ffv1"``: by default that of the source,
+    or the default of the container; ``crf`` is its constant rate factor (lower is better), and ``preset`` its preset of
+    speed. ``pixel_format`` is by default that of the source, or the nearest of the codec; lossy codecs write images as
+    YUV, in 4:2:0 if possible, in the limited range of BT.709. With ``lossless``, it is FFV1, unless a lossless codec is
+    named. SuppleError if an option is not supported; a `ClipWarning` if a part of the source cannot be kept.
+    """
 
     def __init__(
         self,
         video: VideoSource,
         target: PathLike,
-        codec: str | None,
-        crf: float | None,
-        preset: str | None,
-        pixel_format: str | None,
-        workers: int,
+        *,
+        codec: str | None = None,
+        crf: float | None = None,
+        preset: str | None = None,
+        pixel_format: str | None = None,
+        threads: int | None = None,
         lossless: bool = False,
     ) -> None:
-        self.video, self.target, self.workers, self.lossless = video, target, workers, lossless
+        self.video, self.target, self.lossless = video, target, lossless
+        self.workers = threads or all_threads()
         self.container = container_of(target)
         wanted = (self.container.exact or None) if lossless and codec is None else codec
         name = self._named(wanted)
@@ -279,7 +288,7 @@ class WritePlan:
     def _warn_of_losses(self) -> None:
         video, lost, self.depth = self.video, self.match.lost, ""  # said when a frame is seen to have such bits
         if lost and not (video.stills and self._asked):
-            found = _finer(self, self.match, self._formats())
+            found = self._finer()
             advice = f": --pixel-format {found} keeps more" if found and not self._asked else ""
             text = f"loses {lost}{advice}" if ", which" not in lost else f"is not in {lost}"
             if lost.startswith("depth") and not video.stills and not video.form.kind.real:
@@ -309,6 +318,18 @@ class WritePlan:
             self.warn(f"cannot say that pixels are {video.aspect} as wide as high: they are left as they are stored")
         if video.matrix and not self.container.rotation:
             self.warn("cannot say which way up it is shown: it is left as it is stored")
+
+    def _finer(self) -> str:
+        """Return a pixel format that keeps more than the chosen one; empty if there is none."""
+        source = self.video.form.kind
+
+        def cost(kind: Kind) -> tuple[bool, int]:
+            return source.alpha and not kind.alpha, len(_losses(source, kind, True))
+
+        named = (name for name in self._formats() if name.startswith(("yuv4", "yuva4", "gbr", "rgb")))
+        better = [each for name in named if (each := form(name)) and cost(each.kind) < cost(self.match.form.kind)]
+        better.sort(key=lambda each: (cost(each.kind), abs(_depth(source) - _depth(each.kind))))
+        return next((each.name for each in better if self.opens(replace(self.match, form=each))), "")
 
     def _says_time(self) -> bool:
         """Return whether the file can hold the timecode: a count of frames, at a whole rate."""
@@ -431,11 +452,6 @@ def timescale(video: VideoSource) -> int:
     return exact if exact <= _TICKS else 90000
 
 
-def workers(threads: int | None) -> int:
-    """Return the number of threads of a codec."""
-    return threads if threads else all_threads()
-
-
 def _nearest(plan: WritePlan, names: list[str], asked: str | None, exact: bool, read_as: Colour) -> Match:
     """Return the pixel format in which an encoder takes a clip: its own, else the nearest with the least loss.
 
@@ -504,7 +520,7 @@ def _coarser(a: Kind, b: Kind) -> bool:
     return a.family in ("rgb", "yuv") and b.family == "yuv" and (b.step[0] > a.step[0] or b.step[1] > a.step[1])
 
 
-def _losses(a: Kind, b: Kind, exact: bool) -> str:
+def _losses(a: Kind, b: Kind, exact: bool) -> list[str]:
     words = []
     if _colourless(a, b):
         words.append("its colours")
@@ -516,23 +532,7 @@ def _losses(a: Kind, b: Kind, exact: bool) -> str:
         words.append("exact values (to YUV)")
     if _depth(b) < _depth(a):
         words.append(f"depth ({a.bits}{' real' if a.real else ''} to {b.bits} bits)")
-    return " and ".join(words)
-
-
-def _finer(plan: WritePlan, chosen: Match, names: list[str]) -> str:
-    """Return a pixel format that keeps more than the chosen one; empty if there is none."""
-    source = plan.video.form
-
-    def cost(kind: Kind) -> tuple[float, ...]:
-        chroma = kind.step[0] * kind.step[1] if kind.family == "yuv" and _coarser(source.kind, kind) else 1
-        other = source.kind.family == "rgb" != kind.family
-        missing = max(0.0, _depth(source.kind) - _depth(kind))
-        return (source.kind.alpha and not kind.alpha, _colourless(source.kind, kind), chroma, missing, other)
-
-    found = [each for name in names if (each := form(name)) is not None and name.startswith(("yuv", "gbr", "rgb"))]
-    better = [each for each in found if not each.name.startswith("yuvj") and cost(each.kind) < cost(chosen.form.kind)]
-    better.sort(key=lambda each: (cost(each.kind), _depth(each.kind)))
-    return next((each.name for each in better if plan.opens(replace(chosen, form=each))), "")
+    return words
 
 
 def _pictured(kind: Kind, colour: Colour) -> bool:
@@ -545,7 +545,7 @@ def _matched(video: VideoSource, to: Form, exact: bool, told: Colour) -> Match:
     whole = to.name.startswith("yuvj")
     same = source.kind == to.kind and not (whole and not colour.full(source))
     meant = colour.valid()
-    lost = _losses(source.kind, to.kind, exact)
+    lost = " and ".join(_losses(source.kind, to.kind, exact))
     if to.kind.family in ("rgb", "xyz"):
         meant = replace(meant, range=FULL if to.kind.family == "rgb" else meant.range, matrix=RGB, site="")
     elif to.kind.family == "gray" and source.kind.family != "gray":
