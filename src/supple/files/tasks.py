@@ -109,8 +109,7 @@ def runner_of(running: Running) -> Iterator[Runner]:
 @contextlib.contextmanager
 def _quiet() -> Iterator[None]:
     """Keep Dask from telling of what goes wrong: it becomes one sentence."""
-    import distributed  # noqa: F401, which sets levels when it is imported
-
+    _distributed()  # which sets levels when it is imported
     loggers = [logging.getLogger(name) for name in logging.root.manager.loggerDict if name.startswith("distributed")]
     before = [one.level for one in loggers]
     for one in loggers:
@@ -136,8 +135,6 @@ class _Distributed(Runner):
     def each(
         self, function: Callable[[Job, Item], Result], job: Job, items: Sequence[Item], advance: Advance
     ) -> list[Result]:
-        from distributed import as_completed
-
         futures: list[Any] = []
         with self._failing():
             try:
@@ -146,7 +143,7 @@ class _Distributed(Runner):
                     self._held[id(job)] = job, self._client.submit(pickle.loads, pickle.dumps(job), pure=False)
                 held = self._held[id(job)][1]
                 futures = self._client.map(_swapped, list(items), function=function, job=held, pure=False)
-                for future in as_completed(futures):
+                for future in _distributed().as_completed(futures):
                     if future.status != "finished":
                         future.result()  # which raises its error
                     advance()
@@ -162,13 +159,11 @@ class _Distributed(Runner):
         from asyncio import CancelledError
         from concurrent.futures import CancelledError as Cancelled
 
-        from distributed import KilledWorker
-
         try:
             yield
         except SuppleError:
             raise
-        except KilledWorker as error:
+        except _distributed().KilledWorker as error:
             text = f"{self._told} ended again and again at the same block, as they do when their memory is full: give"
             raise SuppleError(f"{text} fewer workers, or workers with more memory; the same command goes on") from error
         except (ImportError, AttributeError) as error:
@@ -185,13 +180,11 @@ def _swapped(item: Item, *, function: Callable[[Job, Item], Result], job: Job) -
 
 @contextlib.contextmanager
 def _processes(count: int) -> Iterator[Runner]:
-    import distributed
-
     # Each process has its share of the cores: tasks side by side, since chunks are decoded by one thread each.
     share = max(1, round(threads() / count))
     with _ignored():
         try:
-            cluster = distributed.LocalCluster(
+            cluster = _distributed().LocalCluster(
                 n_workers=count, threads_per_worker=share, processes=True, dashboard_address="127.0.0.1:0",
                 silence_logs=logging.CRITICAL, env={"SUPPLE_THREADS": str(share)}, preload=[__name__],
             )  # fmt: skip
@@ -200,7 +193,7 @@ def _processes(count: int) -> Iterator[Runner]:
                 f"{count} processes do not start ({said(error)}): give fewer workers; and in a script, call this "
                 'under if __name__ == "__main__":, since they import it'
             ) from error
-    with _closing(cluster), _closing(distributed.Client(cluster, timeout=_PATIENCE)) as client:
+    with _closing(cluster), _closing(_distributed().Client(cluster, timeout=_PATIENCE)) as client:
         yield _Distributed(client, "the processes that work")
 
 
@@ -234,10 +227,8 @@ def dask_setup(worker: object) -> None:
 
 @contextlib.contextmanager
 def _cluster(address: str) -> Iterator[Runner]:
-    import distributed
-
     try:
-        client = distributed.Client(address, timeout=_PATIENCE)
+        client = _distributed().Client(address, timeout=_PATIENCE)
     except (OSError, ValueError, TypeError, ImportError) as error:
         text = f"the scheduler {address} does not answer ({said(error)}): check the address, as tcp://HOST:8786, and"
         raise SuppleError(f"{text} that it runs") from error
@@ -263,3 +254,10 @@ def check_seen(*places: Place) -> None:
         if place.folder is not None and not place.folder.exists():
             text = f"{shown(place.address)} is gone, or a worker does not see it: give addresses that all workers reach"
             raise SuppleError(f"{text}, and start them where these are")
+
+
+def _distributed() -> Any:
+    """Return the module, which is imported only where it is used."""
+    import distributed
+
+    return distributed
