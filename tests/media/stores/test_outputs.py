@@ -160,16 +160,16 @@ def test_levels_that_would_be_the_one_before_are_left_out(tmp_path: Path) -> Non
     assert len(open_image(tmp_path / "out.zarr").levels) == 2
 
 
-def test_an_input_of_no_whole_factors_is_refused(tmp_path: Path) -> None:
+def test_levels_of_no_whole_factors_become_smaller_by_the_next(tmp_path: Path) -> None:
     attributes = metadata("0.5", described_axes("yx"), [([1, 1], [0, 0]), ([1.5, 1.5], [0, 0])])
     group = zarr.create_group(str(tmp_path / "in.zarr"), attributes=attributes)
     group.create_array("0", shape=(30, 30), dtype="u1")
     group.create_array("1", shape=(20, 20), dtype="u1")
-    with pytest.raises(
-        SuppleError, match="30 samples along y become 20: give an image whose levels are smaller by whole"
-    ):
-        create(tmp_path / "out.zarr", open_image(tmp_path / "in.zarr"), job="a")
-    assert os.listdir(tmp_path) == ["in.zarr"]
+    target = create(tmp_path / "out.zarr", open_image(tmp_path / "in.zarr"), job="a")
+    assert [array.shape for array in target.arrays] == [(30, 30), (15, 15)]
+    fill(target, np.ones((30, 30)))
+    target.finish()
+    assert [level.scale for level in open_image(tmp_path / "out.zarr").levels] == [(1, 1), (2, 2)]
 
 
 def test_levels_of_other_paths(tmp_path: Path) -> None:

@@ -26,7 +26,7 @@ import numpy.typing as npt
 from supple.errors import SuppleError, argument, shown
 from supple.media.files import ROOTS, PathLike, check_store, locked, publish_all
 from supple.media.stores.image import LABELS, Level, StoredImage
-from supple.media.stores.levels import Mode, Step, group_files, planned, reduced
+from supple.media.stores.levels import Mode, group_files, planned, reduced
 from supple.media.stores.places import MARKER, Place, overlap, put, quiet, read, refresh, run
 
 Box = Sequence[tuple[int, int]]
@@ -78,18 +78,19 @@ def create(
     if relation and (relation != "same" or place.folder is None):  # a folder is replaced when the output is finished
         what = {"same": "it is the input too", "inside": "it lies in the input", "around": "the input lies in it"}
         raise place.unwritable(what[relation], "choose another place")
-    files, paths, steps = planned(place, like, shape, scale, translation)
+    files, paths, steps = planned(like, shape, scale, translation)
     return create_arrays(address, files, paths, steps, len(like.axes) - len(like.spatial), force=force, job=job)
 
 
 def create_arrays(
-    address: PathLike, files: dict[str, bytes], paths: Sequence[str], steps: Sequence[Sequence[Step]] = (),
+    address: PathLike, files: dict[str, bytes], paths: Sequence[str], steps: Sequence[tuple[int, ...]] = (),
     carried: int = 1, *, force: bool = False, job: str,
 ) -> Target:  # fmt: skip
     """Create an output of prepared metadata, or go on with one that was interrupted, as `create` does.
 
-    ``files`` are all metadata, by their keys; ``paths`` the arrays, which become the levels; ``steps`` how each level
-    but the first comes from the one before, if it does; ``carried`` the number of axes before those of space.
+    ``files`` are all metadata, by their keys; ``paths`` the arrays, which become the levels; ``steps`` by how much each
+    axis of a level but the first is smaller than that of the one before; ``carried`` the number of axes before those of
+    space.
     """
     import zarr
 
@@ -219,12 +220,12 @@ class Target:
     """
 
     def __init__(
-        self, place: Place, site: Place, arrays: tuple[Any, ...], steps: Sequence[Sequence[Step]], carried: int,
+        self, place: Place, site: Place, arrays: tuple[Any, ...], steps: Sequence[tuple[int, ...]], carried: int,
         job: str, force: bool, begun: bool,
     ) -> None:  # fmt: skip
         self.address, self.site, self.arrays, self.begun = place.address, site, arrays, begun
         self.blocks = tuple(tuple(array.metadata.chunk_grid.chunk_shape) for array in arrays)
-        self.factors = ((1,) * arrays[0].ndim, *(tuple(axis.factor for axis in step) for step in steps))
+        self.factors = ((1,) * arrays[0].ndim, *steps)
         self._place, self._carried, self._job, self._force = place, carried, job, force
 
     def is_done(self, level: int, box: Box) -> bool:
