@@ -261,7 +261,7 @@ def test_timecodes_of_a_clip_that_has_some(run: Run, here: Path) -> None:
         run(*one, "--frame", "00:00:00:05", "--force"),
         "--frame must be from 10:00:00:00 to 10:00:01:04, the frames of in.mov",
     )
-    refused(run(*one, "--frame", "10:00:00;05", "--force"), "no numbers are dropped at 25 frames a second")
+    refused(run(*one, "--frame", "10:00:00;05", "--force"), "is no timecode of in.mov, which is of 25 frames a second")
     assert run("plot", "in.mov", "grid.png", *GRAB, "--frame", "10:00:00:05")[0] == 0
     Path("t.csv").write_text("frame,x,y\n10:00:00:00,30,20\n10:00:00:20,40,20\n")
     Path("u.csv").write_text("frame;x;y\n0;30;20\n20;40;20\n")

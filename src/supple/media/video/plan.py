@@ -502,7 +502,6 @@ def _cost(source: Form, colour: Colour, to: Form) -> tuple[float, ...]:
         float(a.family != b.family),
         -chroma,
         _depth(b) - _depth(a),
-        float(a.real != b.real),
         float(to.name != source.name),
         float(len({place.plane for place in to.places}) != len({place.plane for place in source.places})),
     )
