@@ -15,7 +15,6 @@ import supple
 import supple.media.video
 from supple.files import warp_file
 from supple.files.options import ClipOptions
-from supple.media import image
 from supple.media.base import CountError
 from supple.media.video import info
 from supple.media.video import open_clip as open_video
@@ -260,22 +259,6 @@ def test_odd_names(run: Run, name: str) -> None:
     assert "64 x 48" in out
     assert sorted(os.listdir()) == sorted(["in.mp4", name, "out.mp4", "frames"])
     assert len(os.listdir("frames")) == 4
-
-
-@pytest.mark.parametrize("size", [(63, 47), (1, 1), (2, 2), (1, 40), (65, 1)])
-@pytest.mark.parametrize("border", ["none", "50"])
-def test_odd_sizes(run: Run, size: tuple[int, int], border: str) -> None:
-    formats = ("yuv420p", "yuv444p")
-    for name in formats:
-        clips.make(f"{name}.mkv", "ffv1", name, count=5, size=size, options={"level": "1", "slices": "1"})
-    for k, grab in enumerate(("0,0,2:0,0,3", "0,0,2:3,3,3", "0,0:3,3"), border == "none"):
-        drag = ["--grab", grab, "--radius", "5", "--border", border, "--on-fold", "damp", "--quiet", "--force"]
-        one, other = formats[k % 2], formats[1 - k % 2]
-        assert run("warp", f"{one}.mkv", "out.mkv", *drag) == (0, "", "")
-        frame = clips.decoded("out.mkv")[-1]
-        assert ((frame.width, frame.height), frame.format.name) == (size, one)
-        assert run("warp", f"{other}.mkv", "out", *drag) == (0, "", "")
-        assert image.read("out/00005.png").pixels.shape == (*size[::-1], 3)
 
 
 def test_a_miscounted_clip_is_read_once_more(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -151,20 +151,6 @@ def test_a_fade_is_alike_at_both_ends_and_as_wide_as_it_says(count: int, hold: i
     np.testing.assert_allclose(m[: count // 2], (ramp[:-2] + 4 * ramp[1:-1] + ramp[2:]) / 6, atol=1 / 255)
 
 
-def test_a_stroke_in_time_under_a_matte_that_moves_fades_as_any_other(here: Path) -> None:
-    noisy("in.mkv", "gray", 30)
-    white = np.ones((30, 48, 64), np.float32)
-    white[12:16] = 0.5
-    matte = supple.Freeze.matte_of(white, 30)
-    recipe = replace(WIDE, strokes=(replace(WIDE.strokes[0], matte=matte),))
-    d = warp_file("in.mkv", "out.mkv", recipe, hold=2).deformation
-    both = matte.times(d.domain.freeze).at([[9], [5], np.arange(30)]).ravel()
-    ends = fade_of((30, 1, 1), 2, 3.0).at([[0], [0], np.arange(30)]).ravel()
-    np.testing.assert_allclose(both[:11], ends[:11], atol=1e-6)
-    np.testing.assert_allclose(both[17:], ends[17:], atol=1e-6)
-    np.testing.assert_allclose(both[[13, 14]], 0.5, atol=1 / 255)
-
-
 def test_a_stroke_that_is_held_back_says_so(here: Path) -> None:
     noisy("in.mkv", "gray")
     with pytest.warns(supple.MissWarning, match="short: what is held at the ends of the clip holds it back"):

@@ -56,27 +56,6 @@ def test_a_folder_is_held_until_its_process_ends(ends: str, tmp_path: Path) -> N
         assert create(out, like, job="a").begun
 
 
-def test_it_is_held_for_other_jobs_of_one_process_as_well(tmp_path: Path) -> None:
-    """A job that failed lets go, though its error may be kept."""
-    values, like = small(tmp_path / "in.zarr")
-
-    @holding()
-    def failing() -> None:
-        create(tmp_path / "out.zarr", like, job="a")
-        raise KeyError
-
-    with pytest.raises(KeyError) as kept:
-        failing()
-    assert kept.tb is not None
-    with holding():
-        again = create(tmp_path / "out.zarr", like, job="a")
-        fill(again, values)
-        again.finish()
-        # what is finished has its name; another may begin, which makes its own
-        create(tmp_path / "out.zarr", like, job="b", force=True)
-    assert sorted(files(tmp_path / "in.zarr")) == sorted(files(tmp_path / "out.zarr"))
-
-
 @pytest.mark.parametrize("gone", ["all", "marker", "job"])
 def test_what_is_there_no_more_is_not_published(gone: str, tmp_path: Path) -> None:
     """Two processes that wrote the same: the other one has finished, and the last blocks of this one came later."""
@@ -96,17 +75,6 @@ def test_what_is_there_no_more_is_not_published(gone: str, tmp_path: Path) -> No
         target.finish()
     assert files(tmp_path) == before
     assert (gone == "all") != partial.exists()
-
-
-def test_an_output_that_another_job_has_taken_at_an_address_stays_unfinished(memory: str) -> None:
-    values, like = small(f"{memory}/in.zarr")
-    first = create(f"{memory}/out.zarr", like, job="one")
-    fill(first, values)
-    create(f"{memory}/out.zarr", like, job="two", force=True)
-    with pytest.raises(SuppleError, match=GONE):
-        first.finish()
-    with pytest.raises(SuppleError, match="unfinished"):
-        open_image(f"{memory}/out.zarr")
 
 
 @pytest.mark.parametrize("own", [False, True])

@@ -174,18 +174,6 @@ def test_other_things_that_cannot_be_opened(tmp_path: Path, memory: str) -> None
         open_image(tmp_path / "in.zarr", ndim=3)
 
 
-def test_an_address_that_is_not_reached(memory: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    from zarr.storage import FsspecStore
-
-    async def failing(self: Any, key: str, *more: Any, **named: Any) -> None:
-        raise PermissionError("Forbidden")
-
-    small(f"{memory}/in.zarr")
-    monkeypatch.setattr(FsspecStore, "get", failing)
-    with pytest.raises(SuppleError, match=r"it cannot be reached \(Forbidden\): check the address, your rights"):
-        open_image(f"{memory}/in.zarr")
-
-
 def test_colons_alone_make_no_address(tmp_path: Path) -> None:
     """A name may hold ``::``, which chains addresses."""
     small(tmp_path / "in.zarr")

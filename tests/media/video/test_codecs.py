@@ -16,7 +16,7 @@ from supple.media.suffixes import CLIPS_OUT
 from supple.media.video import ClipWarning, info, plan
 from tests import clips
 from tests.children import ROOT
-from tests.media.video.copies import assert_nothing_left, assert_same_frames, copy, read
+from tests.media.video.copies import assert_nothing_left, copy, read
 
 
 @pytest.mark.parametrize(
@@ -217,18 +217,6 @@ def test_an_encoder_leaves_the_priority_of_its_caller(tmp_path, codec):
     before = os.sched_getscheduler(0)
     copy(clips.make(tmp_path / "a.mkv", "ffv1", count=2), tmp_path / "b.mkv", codec=codec)
     assert os.sched_getscheduler(0) == before
-
-
-@pytest.mark.parametrize("suffix", ["mp4", "mov", "mkv", "webm", "avi"])
-@pytest.mark.parametrize("codec", ["nothing", "mpeg4"])
-def test_codecs_in_advice_are_lossless_where_that_is_asked(tmp_path, suffix, codec):
-    source = clips.make(tmp_path / "a.mkv", "ffv1", count=2)
-    with pytest.raises(SuppleError, match="use ") as told:
-        copy(source, tmp_path / f"b.{suffix}", lossless=True, codec=codec)
-    listed = str(told.value).rpartition("use ")[2].removesuffix(", or leave out lossless")
-    for codec in listed.split(", "):
-        copy(source, tmp_path / f"b.{suffix}", lossless=True, codec=codec)
-        assert_same_frames(source, tmp_path / f"b.{suffix}")
 
 
 @pytest.mark.filterwarnings("ignore:.* plays over and over")
