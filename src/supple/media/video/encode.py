@@ -19,7 +19,7 @@ from supple.media.files import PathLike, check_output, replacing, unwritable
 from supple.media.sequence import Pictures
 from supple.media.video.colour import Colour, filtered, recast, sited
 from supple.media.video.demux import said, usual_step
-from supple.media.video.plan import Match, WritePlan, container_of, open_encoder
+from supple.media.video.plan import WritePlan, container_of, open_encoder
 from supple.media.video.planes import form, pack
 from supple.media.video.source import Stills, VideoSource
 from supple.media.video.streams import Passage, kept_tags, titled
@@ -154,7 +154,7 @@ class Sink:
             return recast(arrays, video.form, colour, form("bgra") or video.form, Colour(2, matrix=0), shape)
         if chosen.opacity and (arrays[0][..., -1] < video.layout.white).any():
             self._plan.warn("loses opacity")
-            self._plan.match = chosen = Match(chosen.form, chosen.colour, chosen.same, chosen.lost, False)
+            self._plan.match = chosen = replace(chosen, opacity=False)
         if self._plan.depth:
             cut = (1 << video.form.kind.bits - chosen.form.kind.bits) - 1
             if any((each & cut).any() for each in arrays):

@@ -6,6 +6,7 @@ import math
 import os
 import re
 import warnings
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import lru_cache
@@ -120,8 +121,9 @@ class Match:
     form: Form  # the encoder's pixel format
     colour: Colour  # the interpretation of its samples
     same: bool  # whether samples are unchanged
-    lost: str  # losses, except opacity
-    opacity: bool  # whether opacity, if any, is lost
+    lost: Sequence[str] = ()  # losses, except opacity
+    opacity: bool = False  # whether opacity, if any, is lost
+    instead: str = ""  # a nearer pixel format, which the encoder does not take at this size
 
 
 class WritePlan:
@@ -158,7 +160,7 @@ class WritePlan:
             if pixel_format not in (None, "pal8"):
                 raise unwritable(target, f"gif does not take the pixel format {pixel_format!r}", "use pal8")
             rgba = Form("pal8", Kind("rgb", (1, 1), 8, True, False), (), np.dtype(np.uint8))
-            self.match = Match(rgba, Colour(), False, "", False)
+            self.match = Match(rgba, Colour(), False)
         else:
             try:
                 self.match = self._matched(pixel_format)
@@ -169,10 +171,9 @@ class WritePlan:
                 self._use(other, None, None)
                 self.match = self._matched(None)
                 self._why = f"{video.codec} cannot be written as the source has it"
-        lost = self.match.lost
-        if self.lossless and lost and ", which" not in lost:
+        if self.lossless and self.match.lost:
             advice = "leave out lossless" if self.encoder.name == "ffv1" else "use ffv1 in .mkv, or leave out lossless"
-            raise unwritable(self.target, f"{self.encoder.codec} loses {lost}", advice)
+            raise unwritable(target, f"{self.encoder.codec} loses {' and '.join(self.match.lost)}", advice)
         self._say_codec(codec)
         if video.stills and video.form.kind.real and not self.match.form.kind.real:
             what = f"{self.encoder.codec} cannot hold the floating point of {video.name}"
@@ -268,13 +269,13 @@ class WritePlan:
         if (
             encoder.name == "ffv1"
             and min(size) < _SLICED
-            and not (asked or self.opens(Match(video.form, video.colour, True, "", False)))
+            and not (asked or self.opens(Match(video.form, video.colour, True)))
         ):
             self.options.update({"level": "1", "slices": "1"})  # too small to be cut into slices
         try:
             made = _nearest(self, names, asked, not (video.stills and lossy), told if lossy else Colour())
-            if self.fields and ", which" in made.lost:
-                raise unwritable(self.target, made.lost, "leave out fields")
+            if self.fields and made.instead:
+                raise unwritable(self.target, made.instead, "leave out fields")
         except SuppleError:
             if self.fields:  # which encoders take in some sizes only
                 self.fields = ""
@@ -287,11 +288,12 @@ class WritePlan:
 
     def _warn_of_losses(self) -> None:
         video, lost, self.depth = self.video, self.match.lost, ""  # said when a frame is seen to have such bits
-        if lost and not (video.stills and self._asked):
-            found = self._finer()
-            advice = f": --pixel-format {found} keeps more" if found and not self._asked else ""
-            text = f"loses {lost}{advice}" if ", which" not in lost else f"is not in {lost}"
-            if lost.startswith("depth") and not video.stills and not video.form.kind.real:
+        if self.match.instead:
+            self.warn(f"is not in {self.match.instead}")
+        elif lost and not (video.stills and self._asked):
+            found = "" if self._asked else self._finer()
+            text = f"loses {' and '.join(lost)}" + (f": --pixel-format {found} keeps more" if found else "")
+            if lost[0].startswith("depth") and not video.stills and not video.form.kind.real:
                 self.depth = text
             else:
                 self.warn(text)
@@ -475,7 +477,7 @@ def _nearest(plan: WritePlan, names: list[str], asked: str | None, exact: bool, 
         if plan.opens(made):
             usual = first is not None and (first.same or (not exact and first.opacity == made.opacity))
             if first is not None and not made.lost and usual:
-                made = replace(made, lost=f"{first.form.name}, which {encoder} does not take at {size}")
+                made = replace(made, instead=f"{first.form.name}, which {encoder} does not take at {size}")
             return made
         first = first or made
     advice = "use another pixel format" if asked is not None else "use another codec, such as ffv1 in .mkv"
@@ -544,7 +546,7 @@ def _matched(video: VideoSource, to: Form, exact: bool, told: Colour) -> Match:
     whole = to.name.startswith("yuvj")
     same = source.kind == to.kind and not (whole and not colour.full(source))
     meant = colour.valid()
-    lost = " and ".join(_losses(source.kind, to.kind, exact))
+    lost = _losses(source.kind, to.kind, exact)
     if to.kind.family in ("rgb", "xyz"):
         meant = replace(meant, range=FULL if to.kind.family == "rgb" else meant.range, matrix=RGB, site="")
     elif to.kind.family == "gray" and source.kind.family != "gray":
@@ -563,7 +565,7 @@ def _matched(video: VideoSource, to: Form, exact: bool, told: Colour) -> Match:
             meant = replace(meant, matrix=told.matrix)
             moved = moved or "to another matrix"
     if moved and source.kind.family == "yuv":
-        same, lost = False, lost or f"exact values ({moved})"
+        same, lost = False, lost or [f"exact values ({moved})"]
     return Match(to, meant, same, lost, source.kind.alpha and not to.kind.alpha)
 
 
