@@ -24,7 +24,7 @@ from supple.fields import Field, Placed, folds_of, only_name
 from supple.files import plans
 from supple.files.jobs import Job, job_of
 from supple.files.options import VolumeOptions
-from supple.files.plans import Source, open_source, plan_boxes, task_shape, warp_on, whole_chunks
+from supple.files.plans import Source, open_source, planned, task_shape, warp_on, whole_chunks
 from supple.files.tasks import Runner, Running, advancing, check_seen, check_shared, runner_of
 from supple.files.transforms import SavedField, begin_field, check_field, is_scene, write_field, write_transform
 from supple.files.volumes import least_of, warn_of_labels
@@ -296,16 +296,10 @@ def _write_blocks(
     task = task_shape(target.blocks[0], shape, work.samples.dtype.itemsize, carried, runner.slots)
     chunks = chunks_of(task, shape)
     leads = list(boxes_of(chunks[:carried]))
-    boxes_total = math.prod(map(len, chunks[carried:]))
-    certificate, total = Certificate(0.0, 0.0), len(leads) * boxes_total
-    counts = {"blocks": total, "done": 0, "copied": 0, "read": 0, "copied_bytes": 0}
-    planned, advance = 0, advancing(tell, "warp", total)
-    for boxes in plans.portions(chunks[carried:]):
-        blocks, found = plan_boxes(work.warp, boxes, runner)
-        certificate |= found
-        planned += len(boxes)
-        tell("plan", planned, boxes_total)
-        if warn and planned == boxes_total:  # before the rest is written, if warnings are errors
+    counts = {"blocks": math.prod(map(len, chunks)), "done": 0, "copied": 0, "read": 0, "copied_bytes": 0}
+    advance = advancing(tell, "warp", counts["blocks"])
+    for blocks, certificate, last in planned(work.warp, chunks[carried:], runner, tell):
+        if warn and last:  # before the rest is written, if warnings are errors
             warn_of(certificate, work.warp.sampling.tolerance, 4, folds_of(maps), only_name(maps))
         items = itertools.product(leads, blocks)
         while some := list(itertools.islice(items, _AT_ONCE)):
