@@ -29,7 +29,7 @@ from supple.files.tasks import Runner, Running, advancing, check_seen, check_sha
 from supple.files.transforms import SavedField, begin_field, check_field, is_scene, write_field, write_transform
 from supple.files.volumes import least_of, warn_of_labels
 from supple.media.files import ROOTS, PathLike, check_store, is_store, replacing, unwritable
-from supple.media.stores.image import LABELS, Level, StoredImage
+from supple.media.stores.image import LABELS, StoredImage
 from supple.media.stores.levels import Mode
 from supple.media.stores.places import Place
 from supple.media.stores.target import Target, create, holding
@@ -79,7 +79,7 @@ class Work:
 
     place: Place  # of the input; workers may run in another folder
     samples: Any  # it is sliced
-    level: Level | None  # whose chunks may be copied; None of a file
+    stored: bool  # whether its chunks can be copied
     carried: int  # the number of axes that are carried along
     target: Target
     warp: Warp
@@ -158,8 +158,7 @@ def warp(job: Job, where: Running, tell: Tell) -> WarpedStore:
     with runner_of(where) as runner:
         output = create(target, image, force=force, job=own, **other)
         mapping = None if field is None else field()
-        level = None if opened.is_file else image.levels[0]
-        work = Work(Place(image.address), opened.samples, level, opened.carried, output, made)
+        work = Work(Place(image.address), opened.samples, not opened.is_file, opened.carried, output, made)
         saved = None if mapping is None else write_field(mapping, runner, tell, maps)
         counts, certificate = _write_blocks(work, runner, tell, maps, warn=saved is None)
         _write_levels(work, runner, tell, "nearest" if known.labels else "mean")
@@ -317,10 +316,8 @@ def _write_block(work: Work, item: tuple[Box, Block]) -> tuple[Literal["done", "
     box, part = (*lead, *block.box), (*lead, *block.part)
     if target.begun and target.is_done(0, box):
         return "done", 0
-    if block.identity and block.part == block.box and work.level is not None:
-        count = target.copy(0, box, work.level, work.place.address)
-        if count is not None:
-            return "copied", count
+    if block.identity and block.part == block.box and work.stored:
+        return "copied", target.copy(0, box, work.samples, work.place.address)
     with work.place.reading(f"samples of it cannot be decoded, at {', '.join(f'{a}:{b}' for a, b in part)}"):
         samples = np.asarray(work.samples[tuple(slice(*each) for each in part)])
     target.write(0, box, work.warp.block(samples, block, work.carried))

@@ -25,7 +25,7 @@ import numpy.typing as npt
 
 from supple.errors import SuppleError, argument, shown
 from supple.media.files import ROOTS, PathLike, check_store, locked, publish_all
-from supple.media.stores.image import LABELS, Level, StoredImage
+from supple.media.stores.image import LABELS, StoredImage
 from supple.media.stores.levels import Mode, group_files, planned, reduced
 from supple.media.stores.places import MARKER, Place, overlap, put, quiet, read, refresh, run
 
@@ -248,26 +248,21 @@ class Target:
         with self._place.writing():
             self.arrays[level][tuple(slice(a, b) for a, b in box)] = values
 
-    def copy(self, level: int, box: Box, source: Level, address: PathLike) -> int | None:
-        """Copy an aligned box of a level of another store, at ``address``, as it is compressed; return its bytes.
+    def copy(self, level: int, box: Box, source: Any, address: PathLike) -> int:
+        """Copy an aligned box of a level of the image that it is like as it is compressed; return its bytes.
 
-        Blocks that the source does not store are left out, as they hold its fill value. None if chunks, codecs, types,
-        fill values or formats differ: then the samples must be written.
+        ``source`` is the array of that level, at ``address``. Blocks that it does not store are left out, as they hold
+        its fill value.
         """
         from zarr.core.buffer import default_buffer_prototype
 
         array = self.arrays[level]
-        names = list(self._keys(level, box, array))
-        shape = tuple(source.array.shape)
-        if len(shape) != array.ndim or _encoding(array) != _encoding(source.array):
-            return None
-        if any(stop > size for (_, stop), size in zip(box, shape, strict=True)):
-            return None
         # all is read before any is written, so that each error is of its own side: a box is no more than a task's
         with Place(address).reading("its chunks cannot be read"):
-            get = functools.partial(source.array.store.get, prototype=default_buffer_prototype())
-            found = run(_each(get, self._keys(level, box, source.array)))
-        pairs = [(name, data) for name, data in zip(names, found, strict=True) if data is not None]
+            get = functools.partial(source.store.get, prototype=default_buffer_prototype())
+            found = run(_each(get, self._keys(level, box, source)))
+        named = zip(self._keys(level, box, array), found, strict=True)
+        pairs = [(name, data) for name, data in named if data is not None]
         with self._place.writing():
             run(_each(lambda pair: array.store.set(*pair), pairs))
         return sum(len(data) for _, data in pairs)
@@ -338,14 +333,6 @@ class Target:
         prefix = f"{array.path}/" if array.path else ""
         ranges = [range(a // n, -(-b // n)) for (a, b), n in zip(box, self.blocks[level], strict=True)]
         return (prefix + array.metadata.encode_chunk_key(place) for place in product(*ranges))
-
-
-def _encoding(array: Any) -> str:
-    """Return all that determines how a chunk is stored; as text, in which NaN equals NaN."""
-    metadata = dict(array.metadata.to_dict())
-    for name in ("shape", "attributes", "chunk_key_encoding", "dimension_separator", "dimension_names"):
-        metadata.pop(name, None)
-    return json.dumps(metadata, sort_keys=True, default=repr)
 
 
 async def _each(act: Callable[[Item], Awaitable[Any]], items: Iterable[Item]) -> list[Any]:
