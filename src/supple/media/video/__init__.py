@@ -167,10 +167,8 @@ class Clip(VideoSource):
 
     def time(self, k: int) -> tuple[int, int]:
         """Return the start and the duration of frame `k` in ticks of `base`, once, in order."""
-        kept = self._times.kept if self._times else None
-        if not kept:
-            raise ValueError(f"frame {k} has not been read")
-        found = kept.popleft()
+        assert self._times and self._times.kept  # the frame has been read
+        found = self._times.kept.popleft()
         return (self._starts[k], self._starts[k + 1] - self._starts[k]) if self._starts else found
 
     def packet(self, k: int) -> av.Packet[Any] | None:

@@ -62,7 +62,7 @@ class Sink:
         self._plan, self._video = plan, video
         self._colour = replace(video.colour, site=sited(video.colour, video.codec, video.form.kind))
         self._times: dict[int, tuple[int, int]] = {}
-        self._written = 0
+
         self.copied = 0  # frames copied as packets of the source
         self._due: dict[int, av.Packet[Any] | None] = {}  # packets in order; None while a frame is encoded
         self._blank = av.VideoFrame(video.width, video.height, plan.match.form.name)  # memory that is used again
@@ -125,11 +125,8 @@ class Sink:
 
     def write(self, arrays: Sequence[Array], k: int, *, still: bool = False) -> None:
         """Encode frames in order, of samples in the clip's layout; or copy the packet of an unchanged one."""
-        if k != self._written:
-            raise ValueError(f"frame {k} comes after {self._written} frames")
         pts, duration = self._video.time(k)
         packet = self._video.packet(k)
-        self._written += 1
         stamp = self._stamp(k, pts, duration)
         if self.copies:
             busy = None in self._due.values()
