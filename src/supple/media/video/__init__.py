@@ -167,7 +167,8 @@ class Clip(VideoSource):
 
     def time(self, k: int) -> tuple[int, int]:
         """Return the start and the duration of frame `k` in ticks of `base`, once, in order."""
-        assert self._times and self._times.kept  # the frame has been read
+        assert self._times is not None
+        assert self._times.kept, "the frame has not been read"
         found = self._times.kept.popleft()
         return (self._starts[k], self._starts[k + 1] - self._starts[k]) if self._starts else found
 
