@@ -38,8 +38,8 @@ def planned(
     for fine, coarse in pairwise(like.levels):
         factors = tuple(_factor(fine, coarse, k) for k in range(len(like.axes)))
         # an incomplete group of samples at the end is left out where the input has none
-        sizes = zip(shapes[-1], factors, coarse.array.shape, strict=True)
-        after = tuple(own if whole == before and own == n // f else -(-n // f) for n, f, own in sizes)
+        axes = zip(shapes[-1], factors, coarse.array.shape, strict=True)
+        after = tuple(own if whole == before and own == n // f else -(-n // f) for n, f, own in axes)
         if after == shapes[-1]:
             break  # the grid is so small that this level would be the one before
         shapes.append(after)
