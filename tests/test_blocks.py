@@ -163,18 +163,6 @@ def test_colours_and_opacity(options: dict[str, Any]) -> None:
     assert_equal(in_blocks(warp, source, [33, 50])[0], whole(warp, source))
 
 
-def test_axes_before_are_carried_along() -> None:
-    rng = np.random.default_rng(4)
-    d = strokes_on((30, 40, 50), rng, 3.0, "auto")
-    source = rng.random((2, 3, 30, 40, 50), np.float32)
-    warp = Warp(d, Sampling())
-    blocks, _ = warp.plan(list(boxes_of([(13, 17), (40,), (25, 25)])))
-    expected = np.stack([[d.warp(each) for each in row] for row in source])
-    for block in blocks:
-        made = warp.block(source[(..., *slices(block.part))], block, 2)
-        assert_equal(made, expected[(..., *slices(block.box))])
-
-
 def test_blocks_beyond_the_reach_are_copies_of_themselves() -> None:
     d = Deformation((64, 128, 192)).grab((30, 30, 30), by=(4, 0, 2), radius=8, reach=2.5)
     warp = Warp(d, Sampling())
@@ -224,16 +212,6 @@ def test_a_part_is_hardly_larger_than_the_block(n: int, filter: str) -> None:
         if n == 3 and axis == 0:  # slices are counted one by one
             assert 65 <= start <= 67
             assert 131 <= stop <= 133
-
-
-def test_parts_grow_by_the_rest_of_a_patch_at_most() -> None:
-    d = Deformation((300, 300), border=None).grab((100, 100), by=(3, 0), radius=20)
-    warp = Warp(d, Sampling())
-    for start, stop in ((80, 112), (1, 2), (60, 70), (100, 300)):
-        ((y0, y1), (x0, x1)), _, _ = warp.reads(((start, stop), (start, stop)))
-        low, high = start // 64 * 64, -(-stop // 64) * 64
-        assert min(y0, x0) >= max(low - 10, 0)
-        assert max(y1, x1) <= min(high + 10, 300)
 
 
 @pytest.mark.parametrize("axis", range(3))
@@ -306,12 +284,3 @@ def test_a_field_is_prepared_once_for_all_blocks_and_is_not_sent_prepared(monkey
     assert len(calls) == 1
     assert len(pickle.dumps(warp)) == small
     assert_equal(made, whole(warp, source))
-
-
-def test_boxes_cover_the_output_once() -> None:
-    seen = np.zeros((5, 7), int)
-    boxes = list(boxes_of([(2, 3), (3, 3, 1)]))
-    assert boxes[:2] == [((0, 2), (0, 3)), ((0, 2), (3, 6))]
-    for box in boxes:
-        seen[slices(box)] += 1
-    assert np.all(seen == 1)

@@ -10,7 +10,6 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from supple.deformation import Deformation
 from supple.engine import labels
@@ -25,10 +24,9 @@ Chunks = Sequence[Sequence[int]]
 """The sizes of the blocks along each axis, in the order of an array's axes, as in Dask."""
 Read = tuple[Box, tuple[float, ...], Certificate]
 """The part of the source that a block reads, how far each of its planes moves, and the certificate of the map."""
-Each = Callable[["Warp", Sequence[Sequence[Box]]], Sequence[Sequence[Read]]]
-"""It returns `Warp.all_reads` of a warp and each of some lists of boxes."""
+Reads = Callable[["Warp", Sequence[Box]], Sequence[Read]]
+"""It returns `Warp.all_reads`, perhaps computed on other machines."""
 
-_TOGETHER = 16  # blocks of which one task finds the parts
 _PACKING = threading.Lock()
 
 
@@ -52,10 +50,6 @@ class Block:
         return tuple(stop - start for start, stop in self.box)
 
 
-def _here(warp: Warp, parts: Sequence[Sequence[Box]]) -> list[list[Read]]:
-    return [warp.all_reads(boxes) for boxes in parts]
-
-
 @dataclass(frozen=True, slots=True)
 class Warp:
     """A warp of `Deformation.warp` that is computed in blocks, on a grid of the output (None: that of the input)."""
@@ -73,7 +67,11 @@ class Warp:
     @property
     def shape(self) -> tuple[int, ...]:
         """The shape of the output, without axes that are carried along."""
-        return self.deformation.shape if self.grid is None else self.grid.shape
+        return self._grid.shape
+
+    @property
+    def _grid(self) -> Grid:
+        return self.grid or self.deformation.grid
 
     def reads(self, box: Box) -> Read:
         """Return the part of the source that a block reads, how far its planes move, and the map's certificate.
@@ -93,64 +91,52 @@ class Warp:
 
     def space(self, box: Box) -> Space:
         """Return the map of a block."""
-        whole = self.deformation.grid if self.grid is None else self.grid
         first, end = np.array(box)[::-1].T
-        return replace(self.packed(), grid=whole.crop(first.tolist(), (end - first).tolist()))
+        return replace(self.packed(), grid=self._grid.crop(first.tolist(), (end - first).tolist()))
 
     def packed(self) -> Space:
         """Return the packed map, which all blocks share: to prepare a large cubic field takes long."""
         with _PACKING:
             if not self._packed:
-                self._packed.append(
-                    self.deformation.space_on(self.deformation.grid if self.grid is None else self.grid)
-                )
+                self._packed.append(self.deformation.space_on(self._grid))
             return self._packed[0]
 
-    def plan(self, boxes: Sequence[Box], each: Each = _here) -> tuple[list[Block], Certificate]:
+    def plan(self, boxes: Sequence[Box], reads: Reads = all_reads) -> tuple[list[Block], Certificate]:
         """Return the blocks at some boxes, and the certificate of the map.
 
-        The boxes together are the whole output, or whole layers of it. ``each`` returns `all_reads` of a warp and each
-        of some lists of boxes, perhaps on other machines; by default, one block after the other: each uses all threads.
+        The boxes together are the whole output, or whole layers of it. By default, ``reads`` plans one block after the
+        other: each uses all threads.
         """
-        found = self._all(boxes, each)
+        found = reads(self, boxes)
         certificate = Certificate(0.0, 0.0)
         deep = self.deformation.ndim == 3
         plain = self.packed().composite is None
         still = np.full(self.shape[0] if deep else 1, plain)
-        for box, (_, moved, known) in zip(boxes, found, strict=True):
-            planes = slice(*box[0]) if deep else slice(1)
+        layers = [slice(*box[0]) if deep else slice(1) for box in boxes]
+        for planes, (_, moved, known) in zip(layers, found, strict=True):
             # As of whole planes in memory: a plane of a stack is copied if none of it moves by more than the tolerance.
             # An image is a copy if no stroke reaches it.
             far = np.array(moved)
             still[planes] &= far * math.sqrt(3) <= self.sampling.tolerance if deep else far < 0
             certificate |= known
         if deep and plain and self.grid is not None and self.grid.shape[1:] != self.grid.whole[1:]:
-            self._widen(still, [(box, moved) for box, (_, moved, _) in zip(boxes, found, strict=True)], each)
+            # Of the planes of which a part moves hardly, only those are copied of which the whole does not.
+            reached = np.zeros(len(still), np.bool_)
+            for planes, (_, moved, _) in zip(layers, found, strict=True):
+                reached[planes] |= np.array(moved) >= 0
+            doubtful = np.flatnonzero(still & reached)
+            first, whole = self.grid.first[2], [(0, size) for size in self.grid.whole[1:]]
+            seen = reads(replace(self, grid=None), [((first + z, first + z + 1), *whole) for z in doubtful.tolist()])
+            still[doubtful] = [moved[0] * math.sqrt(3) <= self.sampling.tolerance for _, moved, _ in seen]
         blocks = []
-        corner = (0,) * self.deformation.ndim if self.grid is None else self.grid.first[::-1]
-        for box, (part, moved, _) in zip(boxes, found, strict=True):
-            copied = tuple(still[slice(*box[0]) if deep else slice(1)].tolist())
+        for box, planes, (part, moved, _) in zip(boxes, layers, found, strict=True):
+            copied = tuple(still[planes].tolist())
             identity = plain and (max(moved) < 0 or all(copied))
             if identity:  # of a part of the grid, the same part of the source
+                corner = self._grid.first[::-1]
                 part = tuple((start + at, stop + at) for (start, stop), at in zip(box, corner, strict=True))
             blocks.append(Block(box, part, copied, identity))
         return blocks, certificate
-
-    def _widen(self, still: npt.NDArray[np.bool_], found: Sequence[tuple[Box, tuple[float, ...]]], each: Each) -> None:
-        """Keep of the planes of which a part moves hardly those of which the whole does not."""
-        assert self.grid is not None
-        reached = np.zeros(len(still), np.bool_)
-        for box, moved in found:
-            reached[slice(*box[0])] |= np.array(moved) >= 0
-        doubtful = np.flatnonzero(still & reached)
-        first, whole = self.grid.first[2], [(0, size) for size in self.grid.whole[1:]]
-        planes: list[Box] = [((first + int(z), first + int(z) + 1), *whole) for z in doubtful]
-        for z, (_, moved, _) in zip(doubtful, replace(self, grid=None)._all(planes, each), strict=True):
-            still[z] = moved[0] * math.sqrt(3) <= self.sampling.tolerance
-
-    def _all(self, boxes: Sequence[Box], each: Each) -> list[Read]:
-        parts = [boxes[k : k + _TOGETHER] for k in range(0, len(boxes), _TOGETHER)]
-        return list(itertools.chain.from_iterable(each(self, parts)))
 
     def block(self, part: Array, block: Block, carried: int = 1) -> Array:
         """Return the samples of a block from `Block.part` of the source, perhaps with channels last.
@@ -162,30 +148,25 @@ class Warp:
         n = self.deformation.ndim
         lead, tail = part.shape[:carried], part.shape[carried + n :]
         part = part.reshape(-1, *part.shape[carried:])
-        result = np.empty((len(part), *block.shape, *tail), part.dtype)
+        kind = working_dtype(part.dtype)
+        result = np.empty((len(part), *block.shape, *tail), kind)
         space = self.space(block.box)
         work = work_of((*space.whole, *tail), part.dtype, space, self.sampling, self.alpha)
         # Items are the groups of one frame: their map is solved once.
-        layout, fill = work.layout, np.tile(work.sampling.fill, len(part))
+        fill = np.tile(work.sampling.fill, len(part))
         work = replace(
             work,
-            layout=replace(layout, groups=layout.groups * len(part)),
+            layout=replace(work.layout, groups=work.layout.groups * len(part)),
             sampling=replace(work.sampling, fill=tuple(fill.tolist())),
         )
-        kind = working_dtype(part.dtype)
-        frames = [planes.astype(kind, copy=False) for planes in _planes(part, n)]
-        outs = [planes.view(kind) if part.dtype == np.bool_ else planes for planes in _planes(result, n)]
-        buffers = [out if out.dtype == kind and out.dtype.isnative else np.empty(out.shape, kind) for out in outs]
+        frames, outs = _planes(part.astype(kind, copy=False), n), _planes(result, n)
         corner = (block.part[-1][0], block.part[-2][0], block.part[0][0] if n == 3 else 0)
         if self.sampling.filter == "labels":
-            labels.sample(work, frames, buffers, corner=corner)
+            labels.sample(work, frames, outs, corner=corner)
         else:
-            sample(work, frames, buffers, corner=corner, copied=block.copied)
-        for out, one in zip(outs, buffers, strict=True):
-            if out is not one:
-                with np.errstate(over="ignore"):
-                    out[...] = one
-        return result.reshape(*lead, *block.shape, *tail)
+            sample(work, frames, outs, corner=corner, copied=block.copied)
+        with np.errstate(over="ignore"):
+            return result.astype(part.dtype, copy=False).reshape(*lead, *block.shape, *tail)
 
 
 def chunks_of(task: Sequence[int], shape: Sequence[int]) -> list[tuple[int, ...]]:

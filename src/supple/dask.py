@@ -27,6 +27,7 @@ from dask.highlevelgraph import HighLevelGraph  # noqa: E402
 __all__ = ["warp"]
 
 _DEFAULT = 1 << 26  # bytes of a block of an array without chunks
+_TOGETHER = 16  # blocks of which one task finds the parts
 
 
 def warp(
@@ -158,43 +159,39 @@ def _warped(array: Any, job: Warp, chunks: Any, first: int, stacklevel: int = 4)
     return da.Array(layers, name, blocks, meta=meta)  # type: ignore[no-untyped-call]
 
 
-def _everywhere(job: Warp, parts: Sequence[Sequence[Box]]) -> list[list[Read]]:
+def _everywhere(job: Warp, boxes: Sequence[Box]) -> list[Read]:
     """Find the parts that blocks read, by Dask: on the threads here, or the cluster that is connected."""
-    if len(parts) == 1:
-        return [job.all_reads(parts[0])]
+    if len(boxes) <= _TOGETHER:
+        return job.all_reads(boxes)
     # The map, which may hold a large field, is sent once, and not with each task.
-    held = dask.delayed(job, traverse=False)  # type: ignore[attr-defined]
-    found = dask.compute(*[dask.delayed(Warp.all_reads)(held, part) for part in parts])  # type: ignore[attr-defined, no-untyped-call]
-    return list(found)
+    held, all_reads = dask.delayed(job, traverse=False), dask.delayed(Warp.all_reads)  # type: ignore[attr-defined]
+    parts = [boxes[k : k + _TOGETHER] for k in range(0, len(boxes), _TOGETHER)]
+    return list(itertools.chain(*dask.compute(*[all_reads(held, part) for part in parts])))  # type: ignore[attr-defined, no-untyped-call]
 
 
 def _chunks(
     array: Any, chunks: Any, shape: tuple[int, ...], dtype: np.dtype[Any], first: int, n: int
 ) -> tuple[tuple[int, ...], ...]:
     """Return the chunks of the output; an axis of channels has one."""
-    given = chunks
-    if chunks is None:
-        own = getattr(array, "shards", None) or getattr(array, "chunks", None)
-        if own is None:
-            side = max(1, round((_DEFAULT / dtype.itemsize) ** (1 / n)))
-            own = (*[1] * first, *[side] * n, *shape[first + n :])
+    given, tail = chunks, shape[first + n :]
+    if chunks is None and (own := getattr(array, "shards", None) or getattr(array, "chunks", None)):
         # On another grid, blocks of the source's size.
         chunks = tuple(
             sizes if isinstance(sizes, int) or sum(sizes) == size else max(sizes)
             for sizes, size in zip(own, shape, strict=True)
         )
-    elif isinstance(chunks, int | np.integer):
-        chunks = (*[1] * first, *[int(chunks)] * n, *shape[first + n :])
+    elif chunks is None or isinstance(chunks, int | np.integer):
+        chunks = (*[1] * first, *["auto" if chunks is None else int(chunks)] * n, *tail)
     elif isinstance(chunks, tuple | list) and len(chunks) == n:
-        chunks = (*[1] * first, *chunks, *shape[first + n :])
+        chunks = (*[1] * first, *chunks, *tail)
     try:
-        made = da.core.normalize_chunks(chunks, shape, dtype=dtype)  # type: ignore[no-untyped-call]
+        made = da.core.normalize_chunks(chunks, shape, _DEFAULT, dtype)  # type: ignore[no-untyped-call]
         if any(size < 1 for sizes in made for size in sizes):
             raise ValueError("a chunk has at least one sample along each axis")
     except (ValueError, TypeError, IndexError, KeyError, ArithmeticError, AttributeError) as error:
         told = " ".join(str(error).split()) or type(error).__name__
         refuse("chunks", f"sizes that fit the output's shape {shape}, as in Dask ({told})", given)
-    return (*made[: first + n], *[(size,) for size in shape[first + n :]])
+    return (*made[: first + n], *[(size,) for size in tail])
 
 
 def _pieces(array: da.Array, box: Box, graph: dict[Any, Any], key: Any) -> tuple[Any, ...]:

@@ -128,21 +128,6 @@ def test_a_store_is_described(run: Run) -> None:
     assert facts["levels"][0]["shards"] == [3, 32, 32]
 
 
-def test_without_dask(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
-    from supple.errors import SuppleError
-    from supple.files import tasks
-
-    def need(extra: str, what: str, *modules: str) -> None:
-        raise SuppleError(f"{what} need {modules[0]}, which is not installed: pip install 'supple[{extra}]'")
-
-    store("in.zarr", (40, 48))
-    monkeypatch.setattr(tasks, "need", need)
-    status, _, err = run("warp", "in.zarr", "out.zarr", *FLAT)
-    assert status == 2
-    assert "dask, which is not installed: pip install 'supple[zarr]'" in one_line(err)
-    assert not os.path.exists("out.zarr")
-
-
 @pytest.mark.parametrize("workers", [(), ("--workers", "1")], ids=["threads", "processes"])
 def test_an_interrupt_is_one_line_and_the_same_command_goes_on(here: Path, workers: tuple[str, ...]) -> None:
     store("in.zarr", (32, 320, 320), 32)

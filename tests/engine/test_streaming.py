@@ -302,21 +302,6 @@ def test_all_of_a_clip_outside_itself(shift: int, rule: str) -> None:
                 np.testing.assert_array_equal(part, around[shown])
 
 
-def test_reflected_through_several_lengths_of_the_clip() -> None:
-    layout = LAYOUTS["4:2:0"]
-    arrays = noise(layout, 4)
-    d = Deformation((4, *SHAPE), border=None, on_fold="flow").grab((30, 20, 2), by=(2, 1, 25), radius=30, reach=None)
-    early, late = exact_times(d, layout, range(4))
-    assert late.max() - early.min() > 12
-    for between in ("linear", "cubic"):
-        sampling = Sampling("linear", between=between, outside="reflect", tolerance=FINE)
-        found, plan, _ = streamed(d.space, layout, arrays, sampling)
-        assert plan.capacity <= 4
-        for group, source, out in zip(layout.groups, arrays, found, strict=True):
-            points = source_points(d, group, range(4))
-            same(out, reference.sample_frames(source, points, "linear", between, "reflect").astype(float), 255, 1e-2)
-
-
 @pytest.mark.parametrize("kind", ["4:2:0", "4:2:2 of 10 bits", "4:4:4 of 12 bits"])
 def test_the_same_bend_in_every_frame(kind: str) -> None:
     """A deformation of a picture, for a clip: each frame is warped as it would be alone."""
@@ -341,14 +326,3 @@ def test_the_same_bend_in_every_frame(kind: str) -> None:
                         for frame, made in zip(source, out, strict=True):
                             expected = reference.sample(frame, points, filter=name, outside=rule, fill=40)
                             same(made, expected.astype(np.float64), layout.white)
-
-
-def test_values_stay_below_white() -> None:
-    """A cubic overshoots: not beyond what 10 bits hold, in 16."""
-    layout = LAYOUTS["4:2:2 of 10 bits"]
-    arrays = [np.where(a > 511, 1023, 0).astype(np.uint16) for a in noise(layout)]
-    for name in ("cubic", "auto", "linear"):
-        found, _, _ = streamed(bent().space, layout, arrays, Sampling(name, between="cubic"))
-        for part in found:
-            assert part.max() == 1023
-            assert part.min() == 0

@@ -98,17 +98,6 @@ def test_progress_is_for_terminals(here: Path) -> None:
     assert watched("warp", "in.mkv", "quiet.mkv", *GRAB, "--quiet") == (0, "")
 
 
-@pytest.mark.parametrize(
-    ("options", "suffix"), [(["--x", "20"], ".png"), (["--y", "47"], ".svg"), (["--x", "20"], ".pdf")]
-)
-def test_slices(run: Run, options: list[str], suffix: str) -> None:
-    noisy("in.mkv", "yuv420p")
-    assert run("plot", "in.mkv", f"out{suffix}", *GRAB, "--what", "slice", *options) == (0, "", "")
-    assert sorted(os.listdir()) == ["in.mkv", f"out{suffix}"]
-    starts = {".png": b"\x89PNG", ".svg": b"<?xml", ".pdf": b"%PDF"}
-    assert Path(f"out{suffix}").read_bytes().startswith(starts[suffix])
-
-
 def test_plots_show_what_warp_makes(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     frames = pictures("in", 12)
     bent = supple.Deformation.from_recipe(TIMED, frames.shape[:3], time=True).warp(frames)
@@ -241,13 +230,6 @@ def test_info_goes_on_after_a_bad_file(run: Run) -> None:
     bad, good = map(json.loads, out.splitlines())
     assert bad["error"] in err
     assert good["frames"] == 2
-
-
-def test_info_of_a_video_without_suffix(run: Run) -> None:
-    os.rename(clips.make("a.mp4", count=2), "a")
-    status, out, err = run("info", "a")
-    assert (status, err) == (0, "")
-    assert "h264" in out
 
 
 @pytest.mark.parametrize("order", ["t", "b"])

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import warnings
 from dataclasses import replace
-from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +15,6 @@ import supple
 import supple.media.video
 from supple.files import warp_file
 from supple.files.options import ClipOptions
-from supple.media import image
 from supple.media.base import CountError
 from supple.media.video import info
 from supple.media.video import open_clip as open_video
@@ -134,26 +132,6 @@ def test_packets_that_do_not_fit_are_not_copied(here: Path, codec: str, target: 
     made = warp_file(source, target, local, clip=options)
     assert made.still > 0 == made.copied
     assert len(clips.decoded(target)) == 60
-
-
-def test_sound_times_and_frames_come_through(here: Path) -> None:
-    times = [0, 40, 90, 120, 200, 210, 260, 300, 333, 360, 400, 450]
-    clips.make("in.mp4", count=12, audio="aac", times=times, base=Fraction(1, 1000))
-    made = warp_file("in.mp4", "out.mp4", TIMED)
-    assert made.frames == len(clips.decoded("out.mp4")) == 12
-    assert clips.when("in.mp4") == clips.when("out.mp4")
-    assert clips.parcels("in.mp4", "audio") == clips.parcels("out.mp4", "audio")
-    assert info("out.mp4")["codec"] == "h264"
-
-
-def test_lossless_is_ffv1(run: Run) -> None:
-    clips.make("in.mp4", count=4)
-    assert run("warp", "in.mp4", "out.mkv", *GRAB_2D, "--lossless") == (0, "", "")
-    assert info("out.mkv")["codec"] == "ffv1"
-    frames = np.stack([f.to_ndarray()[:48] for f in clips.decoded("in.mp4")])
-    d = supple.Deformation.from_recipe(FLAT, (48, 64))
-    got = np.stack([f.to_ndarray()[:48] for f in clips.decoded("out.mkv")])
-    np.testing.assert_array_equal(got, np.stack([d.warp(frame) for frame in frames]))
 
 
 def test_options_reach_the_sampler_and_the_encoder(run: Run) -> None:
@@ -281,22 +259,6 @@ def test_odd_names(run: Run, name: str) -> None:
     assert "64 x 48" in out
     assert sorted(os.listdir()) == sorted(["in.mp4", name, "out.mp4", "frames"])
     assert len(os.listdir("frames")) == 4
-
-
-@pytest.mark.parametrize("size", [(63, 47), (1, 1), (2, 2), (1, 40), (65, 1)])
-@pytest.mark.parametrize("border", ["none", "50"])
-def test_odd_sizes(run: Run, size: tuple[int, int], border: str) -> None:
-    formats = ("yuv420p", "yuv444p")
-    for name in formats:
-        clips.make(f"{name}.mkv", "ffv1", name, count=5, size=size, options={"level": "1", "slices": "1"})
-    for k, grab in enumerate(("0,0,2:0,0,3", "0,0,2:3,3,3", "0,0:3,3"), border == "none"):
-        drag = ["--grab", grab, "--radius", "5", "--border", border, "--on-fold", "damp", "--quiet", "--force"]
-        one, other = formats[k % 2], formats[1 - k % 2]
-        assert run("warp", f"{one}.mkv", "out.mkv", *drag) == (0, "", "")
-        frame = clips.decoded("out.mkv")[-1]
-        assert ((frame.width, frame.height), frame.format.name) == (size, one)
-        assert run("warp", f"{other}.mkv", "out", *drag) == (0, "", "")
-        assert image.read("out/00005.png").pixels.shape == (*size[::-1], 3)
 
 
 def test_a_miscounted_clip_is_read_once_more(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -24,7 +23,7 @@ from supple.media import image
 from supple.media.base import ClipWarning
 from supple.media.video import info
 from tests import clips
-from tests.files.clip_files import GRAB, GRAB_2D, TIMED, Run, noisy, refused, same_frames, stack
+from tests.files.clip_files import GRAB, TIMED, Run, noisy, refused, same_frames, stack
 
 
 @pytest.mark.parametrize("ratio", [None, 0.4])
@@ -112,20 +111,6 @@ def test_a_stroke_that_starts_outside_is_told(run: Run, source: str, target: str
     assert run("warp", source, target, *far, "--reach", "6", "--quiet") == (0, "", "")
     both = ("--grab", "20,20:21,20", *far)
     refused(run("warp", source, target, *both), "supple: stroke 2 of 2: a drag by (0, 1) at (20, -21)")
-
-
-def test_recipes_with_times_are_saved_and_carried_out(run: Run) -> None:
-    noisy("in.mkv", "yuv420p")
-    assert run("warp", "in.mkv", "a.mkv", *GRAB, "--save-recipe", "r.json") == (0, "", "")
-    recipe = supple.Recipe.from_json(Path("r.json").read_text())
-    assert recipe == replace(TIMED, size=(64, 48, 12), space="pixels", time_scale=1.0)
-    assert run("warp", "in.mkv", "b.mkv", "--recipe", "r.json") == (0, "", "")
-    same_frames("a.mkv", "b.mkv")
-    status, out, err = run("info", "r.json")
-    assert (status, err) == (0, "")
-    assert "(30, 20, 3) to (33, 22, 8)" in out
-    refused(run("warp", "in.mkv", "c.mkv", "--recipe", "r.json", *GRAB_2D), "3 numbers")
-    assert sorted(os.listdir()) == ["a.mkv", "b.mkv", "in.mkv", "r.json"]
 
 
 def turned(name: str, degrees: int) -> str:

@@ -18,7 +18,7 @@ from supple.files.options import ClipOptions
 from supple.files.tracks import follow_tracks
 from supple.media import image
 from tests import clips
-from tests.files.clip_files import GRAB_2D, Run, noisy, pictures, refused, same_frames, stack
+from tests.files.clip_files import GRAB_2D, Run, noisy, pictures, refused, stack
 
 KEYS = (Key(3, at=(20, 20), strength=0), Key(6, at=(30, 24), strength=1), Key(9, at=(44, 20), strength=0))
 MOVING = Recipe(border=10, strokes=(Stroke(at=(20, 20), by=(4, 3), radius=6, keys=KEYS),))
@@ -62,17 +62,6 @@ def test_frames_in_which_nothing_moves_are_passed_on(here: Path) -> None:
     before, after = clips.decoded("in.mkv"), clips.decoded("out.mkv")
     same = [clips.rows(a) == clips.rows(b) for a, b in zip(before, after, strict=True)]
     assert same == [k in (0, 1, 2, 3, 9, 10, 11) for k in range(12)]
-
-
-def test_planes_of_colour_are_bent_as_still_strokes_bend_them(here: Path) -> None:
-    for k, pixel_format in enumerate(("yuv420p", "yuva420p", "yuv422p10le")):
-        noisy(f"in{k}.mkv", pixel_format, 6)
-        held = Stroke(at=(30, 20), by=(4, 3), radius=12)
-        moving = Recipe(strokes=(Stroke(at=(10, 10), by=(4, 3), radius=12, keys=[Key(2, at=(30, 20))]),))
-        warp_file(f"in{k}.mkv", f"a{k}.mkv", Recipe(strokes=(held,)))
-        made = warp_file(f"in{k}.mkv", f"b{k}.mkv", moving)
-        same_frames(f"a{k}.mkv", f"b{k}.mkv")
-        assert len(set(map(id, made.deformations))) == 1  # planned once
 
 
 def test_pictures_and_folders_are_clips(here: Path) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
@@ -82,12 +81,6 @@ def test_sound_that_pictures_cannot_hold_is_said(run: Run) -> None:
         0,
         "supple: warning: b gets pictures alone, without the sound and the subtitles of in.mkv\n",
     )
-
-
-def test_a_rate_may_be_a_ratio(run: Run) -> None:
-    pictures("in")
-    assert run("warp", "in", "a.mkv", *GRAB, "--codec", "ffv1", "--fps", "24000/1001") == (0, "", "")
-    assert info("a.mkv")["rate"] == Fraction(24000, 1001)
 
 
 @pytest.mark.parametrize(

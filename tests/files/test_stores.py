@@ -26,15 +26,13 @@ import pytest
 zarr = pytest.importorskip("zarr")
 pytest.importorskip("dask")
 
-from supple import Affine, Deformation, Recipe, Stroke, SuppleError  # noqa: E402
-from supple.blocks import Warp, boxes_of  # noqa: E402
-from supple.engine.sampling import Sampling  # noqa: E402
+from supple import Affine, Recipe, Stroke, SuppleError  # noqa: E402
 from supple.errors import VolumeWarning  # noqa: E402
 from supple.fields import Placed  # noqa: E402
 from supple.files import plans, tasks  # noqa: E402
 from supple.files.jobs import Job  # noqa: E402
 from supple.files.options import GridOptions, VolumeOptions  # noqa: E402
-from supple.files.plans import plan_boxes, plan_file  # noqa: E402
+from supple.files.plans import plan_file  # noqa: E402
 from supple.files.stores import WarpedStore, warp_store  # noqa: E402
 from supple.files.tasks import Running, runner_of  # noqa: E402
 from supple.media.stores.image import open_image  # noqa: E402
@@ -114,16 +112,6 @@ def test_stores_are_warped_as_arrays_are(version: str, case: str) -> None:
     source, target = zarr.open("in.zarr"), zarr.open("out.zarr")
     assert dict(source.attrs) == dict(target.attrs)
     assert sorted(os.listdir()) == ["in.zarr", "out.zarr"]
-
-
-@pytest.mark.parametrize("outside", ["edge", "constant", "reflect"])
-@pytest.mark.parametrize("filter", ["auto", "cubic", "linear", "nearest"])
-def test_options_are_those_of_arrays(filter: str, outside: str) -> None:
-    values = plain("in.zarr", RNG.integers(0, 200, (50, 60)).astype(np.uint8), (16, 16))
-    recipe = Recipe(strokes=[Stroke.grab((5, 12), to=(9, 14), radius=5)], border=None)
-    made = warp_store("in.zarr", "out.zarr", recipe, filter=filter, outside=outside, fill=9, tolerance=0.02)
-    expected = whole(made, values, filter=filter, outside=outside, fill=9, tolerance=0.02)
-    assert np.array_equal(arrays("out.zarr")[0], expected)
 
 
 def test_labels_are_kept_in_all_levels() -> None:
@@ -331,16 +319,6 @@ def test_what_happens_to_a_cluster_is_one_sentence(error: BaseException, told: s
         raise error
 
 
-def test_planes_of_a_crop_that_hardly_move_are_asked_of_the_whole() -> None:
-    """By a runner, as the command does: what reads a whole plane is not what reads the crop."""
-    d = Deformation((17, 10, 14)).grab((4.8, 6.2, 4.8), by=(-3.7, -0.11, -5.27), radius=3.07)
-    warp = Warp(d, Sampling(filter="linear"), d.grid.crop((8, 3, 0), (6, 5, 17)))
-    boxes = list(boxes_of([[17], [5], [6]]))
-    with runner_of(Running()) as runner:
-        assert plan_boxes(warp, boxes, runner) == warp.plan(boxes)
-    assert 0 < sum(warp.plan(boxes)[0][0].copied) < 17
-
-
 def test_lengths_in_another_unit_are_told() -> None:
     ome("in.zarr", "0.5", "zyx", (14, 40, 44), (4, 16, 16), unit="micrometer")
     drag = Stroke.grab((14, 12, 4), to=(16, 13, 5), radius=0.002)
@@ -464,20 +442,6 @@ def test_no_task_goes_on_after_an_error() -> None:
     assert count < 50
     time.sleep(0.5)
     assert len(ready) == count
-
-
-def test_processes_that_do_not_start(monkeypatch: pytest.MonkeyPatch) -> None:
-    distributed = pytest.importorskip("distributed")
-
-    def failing(**_: object) -> None:
-        raise RuntimeError("Nanny failed to start.")
-
-    monkeypatch.setattr(distributed, "LocalCluster", failing)
-    with (
-        pytest.raises(SuppleError, match=r"2 processes do not start \(Nanny failed.*__main__"),
-        runner_of(Running(workers=2)),
-    ):
-        pass
 
 
 def test_a_field_whose_place_another_job_has_leaves_no_output() -> None:

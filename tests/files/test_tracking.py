@@ -15,7 +15,7 @@ from scipy.ndimage import affine_transform
 
 import supple
 from supple.errors import SuppleError, TrackWarning
-from supple.files.tracking import track, write_track
+from supple.files.tracking import track
 from supple.media import image
 from supple.media.tracks import read_tracks
 from tests import clips
@@ -256,26 +256,10 @@ def test_what_cannot_be_tracked_is_refused_and_nothing_written(run: Run) -> None
         track("in.mkv", [])
 
 
-def test_with_strict_a_lost_point_is_an_error(run: Run) -> None:
-    frames, _ = moved(6)
-    written("in.mkv", [*frames, *[photograph("coffee.jpg")[:150, :200]] * 3])
-    refused(run("track", "in.mkv", "t.csv", "--at", "100,75,0", "--strict"), "is lost in frame 6")
-    assert not os.path.exists("t.csv")
-
-
 def test_noise_is_not_followed(here: Path) -> None:
     noisy("in.mkv", "gray", 6)
     with pytest.raises(SuppleError, match="is lost in frame"):
         track("in.mkv", [(30, 20, 3)])
-
-
-def test_a_table_is_read_back_as_it_was_written(here: Path) -> None:
-    frames, _ = moved(5)
-    (found,) = track(written("in.mkv", frames), [(*SPOT, 0)])
-    write_track("t.csv", [found])
-    (kept,) = read_tracks("t.csv")
-    assert [k for k, _ in kept.keys] == [k for k, _ in found.keys]
-    np.testing.assert_allclose([at for _, at in kept.keys], [at for _, at in found.keys], atol=5.1e-4)
 
 
 AUTO = ("--grab", "100,75:104,75", "--radius", "9", "--track", "auto")

@@ -39,7 +39,6 @@ _MAPS = MapOptions()
 _OUTPUT = OutputOptions()
 _VOLUME = VolumeArguments()
 _WORKERS = WorkerOptions()
-_UNITS = ("bytes", "kB", "MB", "GB", "TB", "PB")
 
 
 def warp_stored(
@@ -123,15 +122,11 @@ def _pair(paths: Sequence[str]) -> tuple[str, str]:
 def _check(job: Job, paths: Sequence[str]) -> None:
     """Raise SuppleError for an option that does not apply to stores; the message names it."""
     from supple.errors import argument
-    from supple.files.jobs import asked
-    from supple.files.options import ClipOptions
+    from supple.files.jobs import OPTIONS, asked
     from supple.media.files import is_store
 
-    names = [argument(name) for name in ("linear_light", "quality", "lossless", "compression") if getattr(job, name)]
-    if job.clamp is not None:
-        names.append(argument("clamp", job.clamp))
-    if job.clip != ClipOptions():
-        names.append(asked("clip", job.clip))
+    given = {name: (getattr(job, name), usual) for name, (usual, _) in OPTIONS.items() if name != "volume"}
+    names = [asked(name, value) for name, (value, usual) in given.items() if value != usual]
     if is_store(paths[0]):
         names += [argument(name) for name in ("series", "layout") if getattr(job.volume, name) is not None]
     if job.device not in ("cpu", "auto"):
@@ -228,20 +223,16 @@ def plan(
 
 
 def _described(name: str, found: Planned) -> str:
+    from rich.filesize import decimal
+
     each = " x ".join(map(str, found.block))
-    copies = f"{found.copied} of them copies of what no stroke reaches ({bytes_of(found.copied_bytes)} uncompressed)"
+    copies = f"{found.copied} of them copies of what no stroke reaches ({decimal(found.copied_bytes)} uncompressed)"
     lines = {
-        "output": f"{' x '.join(map(str, found.shape))} {found.dtype}, {bytes_of(found.size)} with coarser levels, "
+        "output": f"{' x '.join(map(str, found.shape))} {found.dtype}, {decimal(found.size)} with coarser levels, "
         "uncompressed",
         "blocks": f"{found.blocks} of {each}, {copies if found.copied else 'none of them a copy'}",
-        "to read": f"{bytes_of(found.read)} of whole chunks, uncompressed{', beside the copies' * bool(found.copied)}",
-        "memory": f"{bytes_of(found.memory)} for each process, which works on {found.tasks} blocks at a time",
+        "to read": f"{decimal(found.read)} of whole chunks, uncompressed{', beside the copies' * bool(found.copied)}",
+        "memory": f"{decimal(found.memory)} for each process, which works on {found.tasks} blocks at a time",
         "error": f"{found.error:.2g} px at most, of the inverse map",
     }
     return "\n".join([f"{shown(name)}:", *(f"  {key:<12}{value}" for key, value in lines.items())])
-
-
-def bytes_of(count: float) -> str:
-    """Return a number of bytes, in words."""
-    power = min(int(math.log(max(count, 1), 1000)), len(_UNITS) - 1)
-    return f"{count} bytes" if power == 0 else f"{count / 1000**power:.3g} {_UNITS[power]}"

@@ -45,6 +45,7 @@ if TYPE_CHECKING:
     from fractions import Fraction
 
 T = TypeVar("T")
+_ENCODING = ("codec", "crf", "preset", "pixel_format")
 _STROKE = re.compile(r"stroke \d+ of \d+: ")
 
 
@@ -222,38 +223,30 @@ def check(job: Job) -> None:
     if between_frames(job.sampling, job.clip).between == "flow":
         need_flow()
     _check_shot(job.clip)
-    if job.clip.frame is not None:
-        check_target(target)
-        refuse_encoding(job.clip, target, "a picture")
-        check_quality(target, job.quality)
-        check_compression(target, job.compression)
-        check_output(target, force=job.force)
-        return
     if not os.fspath(target):
         raise SuppleError("cannot write '': no file can have that name: choose another")
-    if not is_picture_target(target) and not is_animation(target, job.source):
-        if suffix_of(target) in PICTURES_OUT:
-            stem, suffix = os.path.splitext(name)
-            raise SuppleError(
-                f"{name} is one picture, and a clip is many: name an animated one ({' or '.join(ANIMATED)}), a "
-                f"pattern, such as {stem}-%05d{suffix}, or a folder"
-            )
-        if job.quality is not None:
-            raise SuppleError(f"{argument('quality')} is for pictures, and {name} is a video: give a crf")
-        if job.compression is not None:
-            raise SuppleError(f"{argument('compression')} is for pictures, and {name} is a video: leave it out")
+    one, many = job.clip.frame is not None, is_picture_target(target)
+    if one or many or is_animation(target, job.source):
+        if one or has_number(target):
+            check_target(target)
+        refuse_encoding(job.clip, target, "a picture" if one else "pictures")
+        check_quality(target, job.quality)
+        check_compression(target, job.compression)
+    elif suffix_of(target) in PICTURES_OUT:
+        stem, suffix = os.path.splitext(name)
+        raise SuppleError(
+            f"{name} is one picture, and a clip is many: name an animated one ({' or '.join(ANIMATED)}), a "
+            f"pattern, such as {stem}-%05d{suffix}, or a folder"
+        )
+    else:
+        for option, instead in (("quality", "give a crf"), ("compression", "leave it out")):
+            if getattr(job, option) is not None:
+                raise SuppleError(f"{argument(option)} is for pictures, and {name} is a video: {instead}")
         from supple.media import video
 
         video.check_target(target)
+    if one or not many:
         check_output(target, force=job.force)
-        return
-    if has_number(target):
-        check_target(target)
-    elif not is_picture_target(target):
-        check_output(target, force=job.force)
-    refuse_encoding(job.clip, target, "pictures")
-    check_quality(target, job.quality)
-    check_compression(target, job.compression)
 
 
 def _check_shot(options: ClipOptions) -> None:
@@ -274,29 +267,27 @@ def _check_shot(options: ClipOptions) -> None:
 
 def refuse_encoding(options: ClipOptions, target: PathLike, what: str) -> None:
     """Raise SuppleError for options of encoders, where no video is written."""
-    for option in ("codec", "crf", "preset", "pixel_format"):
+    for option in _ENCODING:
         if getattr(options, option) is not None:
             raise SuppleError(f"{argument(option)} is for videos, and {shown(target)} is {what}: leave it out")
 
 
 def _writer(clip: Any, job: Job) -> contextlib.AbstractContextManager[Any]:
     """Return the writer for a target: a video file, or an image sequence."""
-    shared: dict[str, Any] = {"force": job.force, "lossless": job.lossless}
-    if job.clip.frame is not None or is_picture_target(job.target):
+    known, shared = job.clip, {"force": job.force, "lossless": job.lossless}
+    pictures: dict[str, Any] = {"quality": job.quality, "compression": job.compression, **shared}
+    if known.frame is not None or is_picture_target(job.target):
         from supple.media import sequence
 
-        known, first = job.clip, 1 if job.clip.first_frame is None else job.clip.first_frame
-        shared["compression"] = job.compression
-        return sequence.writer(clip, job.target, quality=job.quality, only=known.frame, first=first, **shared)
+        first = 1 if known.first_frame is None else known.first_frame
+        return sequence.writer(clip, job.target, only=known.frame, first=first, **pictures)
     if is_animation(job.target, job.source):
         from supple.media import animation
 
-        return animation.writer(clip, job.target, quality=job.quality, compression=job.compression, **shared)
+        return animation.writer(clip, job.target, **pictures)
     from supple.media.video.encode import writer
 
-    known = job.clip
-    shared |= {"codec": known.codec, "crf": known.crf, "preset": known.preset, "pixel_format": known.pixel_format}
-    return writer(clip, job.target, **shared)
+    return writer(clip, job.target, **{option: getattr(known, option) for option in _ENCODING}, **shared)
 
 
 def is_picture_target(target: PathLike) -> bool:

@@ -27,7 +27,7 @@ from supple.strokes import Fit, Recipe
 # The module of a kind checks and warps it; it is loaded for such files alone, since readers take time.
 _MODULES = {"picture": "supple.files.pictures", "clip": "supple.files.clips", "volume": "supple.files.volumes"}
 _SEEN: tuple[Kind, ...] = ("picture", "clip")
-_FOR: dict[str, tuple[object, tuple[Kind, ...]]] = {
+OPTIONS: dict[str, tuple[object, tuple[Kind, ...]]] = {
     "quality": (None, _SEEN),
     "lossless": (False, _SEEN),
     "compression": (None, _SEEN),
@@ -98,7 +98,7 @@ class Job:
         medium = self.medium
         if medium.kind != "volume":
             refuse_places(self.recipe, self.source)
-        for option, (usual, kinds) in _FOR.items():
+        for option, (usual, kinds) in OPTIONS.items():
             value = getattr(self, option)
             if medium.kind not in kinds and value != usual:
                 where = " and ".join(f"{kind}s" for kind in kinds)

@@ -24,7 +24,7 @@ from supple.files.tasks import Runner, Running, runner_of
 from supple.files.volumes import deformation_of, filtered
 from supple.media.files import is_store, unreadable
 from supple.media.stores.image import StoredImage, open_image
-from supple.media.stores.inputs import Samples, like_file
+from supple.media.stores.inputs import Samples, grow, like_file
 from supple.media.volume import Volume
 from supple.space.geometry import Geometry, Grid
 from supple.strokes import fit_recipe
@@ -95,16 +95,10 @@ def plan_file(job: Job, running: Running | None = None, tell: Tell = lambda step
     task = task_shape(image.levels[0].array.metadata.chunk_grid.chunk_shape, shape, item, carried, threads())
     sizes = chunks_of(task, shape)
     leads, positions = math.prod(map(len, sizes[:carried])), math.prod(shape[:carried])
-    total = math.prod(map(len, sizes[carried:]))
-    done, copied, read, copied_bytes, most = 0, 0, 0, 0, 0
-    certificate = Certificate(0.0, 0.0)
+    copied, read, copied_bytes, most = 0, 0, 0, 0
     with runner_of(Running()) as runner:
-        for boxes in portions(sizes[carried:]):
-            planned, found = plan_boxes(warp, boxes, runner)
-            certificate |= found
-            done += len(boxes)
-            tell("plan", done, total)
-            for one in planned:
+        for blocks, certificate, _ in planned(warp, sizes[carried:], runner, tell):  # noqa: B007, the last one counts
+            for one in blocks:
                 count = math.prod(one.shape) * item
                 if one.identity and one.part == one.box:
                     copied += leads
@@ -117,7 +111,7 @@ def plan_file(job: Job, running: Running | None = None, tell: Tell = lambda step
     warn_of(certificate, warp.sampling.tolerance, 3, folds_of(job.maps), only_name(job.maps))
     levels = sum(math.prod(level.array.shape) / math.prod(image.shape) for level in image.levels)
     return Planned(
-        shape, str(image.dtype), task, total * leads, copied, read, copied_bytes, slots, most * slots,
+        shape, str(image.dtype), task, math.prod(map(len, sizes)), copied, read, copied_bytes, slots, most * slots,
         round(levels * math.prod(shape) * item), certificate.error,
     )  # fmt: skip
 
@@ -214,37 +208,32 @@ def task_shape(
     They grow along the axes of space first, the shortest before the others, since a task that has several of the
     positions that are carried along reads no less for each.
     """
-    whole = math.prod(shape) * itemsize
-    most = min(limit or TASK, whole / (_TURNS * slots))
+    most = min((limit or TASK) / itemsize, math.prod(shape) / (_TURNS * slots))
     sizes = [min(a, b) for a, b in zip(block, shape, strict=True)]
     for axes in (range(carried, len(shape)), range(carried)):
-        while growing := [k for k in axes if sizes[k] < shape[k]]:
-            k = min(growing, key=lambda axis: sizes[axis])
-            wider = min(-(-sizes[k] // block[k]) * 2 * block[k], shape[k])
-            if math.prod(sizes) // sizes[k] * wider * itemsize > most:
-                break
-            sizes[k] = wider
+        grow(sizes, shape, axes, most, lambda k: min(-(-sizes[k] // block[k]) * 2 * block[k], shape[k]))
     return tuple(sizes)
 
 
-def portions(chunks: Sequence[Sequence[int]]) -> Iterator[list[Box]]:
-    """Yield the places of blocks, some at a time, in whole layers: blocks that have the same planes.
+def planned(
+    warp: Warp, chunks: Sequence[Sequence[int]], runner: Runner, tell: Tell
+) -> Iterator[tuple[list[Block], Certificate, bool]]:
+    """Yield blocks, some at a time, with the certificate of all so far, and whether they are the last.
 
-    Whether a plane is a copy is known from all blocks of its layer, and from no others.
+    They come in whole layers, blocks that have the same planes: whether a plane is a copy is known from all blocks of
+    its layer, and from no others.
     """
-    portion: list[Box] = []
+    boxes: list[Box] = []
+    certificate, done, total = Certificate(0.0, 0.0), 0, math.prod(map(len, chunks))
     for first in boxes_of(chunks[:1]):
-        portion += [(*first, *rest) for rest in boxes_of(chunks[1:])]
-        if len(portion) >= _PORTION:
-            yield portion
-            portion = []
-    if portion:
-        yield portion
-
-
-def plan_boxes(warp: Warp, boxes: Sequence[Box], runner: Runner) -> tuple[list[Block], Certificate]:
-    """Find what blocks read, which together are whole layers."""
-    return warp.plan(boxes, lambda warp, parts: runner.each(Warp.all_reads, warp, parts, lambda: None))
+        boxes += [(*first, *rest) for rest in boxes_of(chunks[1:])]
+        if len(boxes) >= _PORTION or done + len(boxes) == total:
+            blocks, found = warp.plan(boxes, lambda warp, boxes: runner.each(Warp.reads, warp, boxes, lambda: None))
+            certificate |= found
+            done += len(boxes)
+            tell("plan", done, total)
+            yield blocks, certificate, done == total
+            boxes = []
 
 
 def whole_chunks(part: Box, shape: Sequence[int], chunks: Sequence[int] | None) -> int:

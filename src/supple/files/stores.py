@@ -5,7 +5,6 @@ from __future__ import annotations
 import glob
 import hashlib
 import itertools
-import json
 import math
 import os
 import warnings
@@ -25,12 +24,12 @@ from supple.fields import Field, Placed, folds_of, only_name
 from supple.files import plans
 from supple.files.jobs import Job, job_of
 from supple.files.options import VolumeOptions
-from supple.files.plans import Source, open_source, plan_boxes, task_shape, warp_on, whole_chunks
+from supple.files.plans import Source, open_source, planned, task_shape, warp_on, whole_chunks
 from supple.files.tasks import Runner, Running, advancing, check_seen, check_shared, runner_of
 from supple.files.transforms import SavedField, begin_field, check_field, is_scene, write_field, write_transform
 from supple.files.volumes import least_of, warn_of_labels
 from supple.media.files import ROOTS, PathLike, check_store, is_store, replacing, unwritable
-from supple.media.stores.image import LABELS, Level, StoredImage
+from supple.media.stores.image import LABELS, StoredImage
 from supple.media.stores.levels import Mode
 from supple.media.stores.places import Place
 from supple.media.stores.target import Target, create, holding
@@ -80,7 +79,7 @@ class Work:
 
     place: Place  # of the input; workers may run in another folder
     samples: Any  # it is sliced
-    level: Level | None  # whose chunks may be copied; None of a file
+    stored: bool  # whether its chunks can be copied
     carried: int  # the number of axes that are carried along
     target: Target
     warp: Warp
@@ -159,8 +158,7 @@ def warp(job: Job, where: Running, tell: Tell) -> WarpedStore:
     with runner_of(where) as runner:
         output = create(target, image, force=force, job=own, **other)
         mapping = None if field is None else field()
-        level = None if opened.is_file else image.levels[0]
-        work = Work(Place(image.address), opened.samples, level, opened.carried, output, made)
+        work = Work(Place(image.address), opened.samples, not opened.is_file, opened.carried, output, made)
         saved = None if mapping is None else write_field(mapping, runner, tell, maps)
         counts, certificate = _write_blocks(work, runner, tell, maps, warn=saved is None)
         _write_levels(work, runner, tell, "nearest" if known.labels else "mean")
@@ -254,19 +252,12 @@ def _name(source: Source, warp: Warp, job: Job) -> str:
     image = source.image
     place, deformation = Place(image.address), warp.deformation
     grid = deformation.grid if warp.grid is None else warp.grid
-    facts = {
-        "shape": image.shape,
-        "type": str(image.dtype),
-        "space": len(image.spatial),
-        "recipe": job.recipe.to_json(),
-        "size": deformation.shape,
-        "sampling": repr(warp.sampling),
-        "options": repr(replace(job.volume, save_field=None)),
-        "grid": [grid.shape, grid.spacing, grid.origin, grid.direction, grid.first],
-        "place": [place.parts, place.address.rpartition("::")[0] if place.folder is None else ""],
-        "changed": _changed(image, place.folder),
-    }
-    digest = hashlib.sha256(json.dumps(facts, sort_keys=True, default=float).encode())
+    facts = (
+        image.shape, str(image.dtype), len(image.spatial), job.recipe.to_json(), deformation.shape, warp.sampling,
+        replace(job.volume, save_field=None), grid.shape, grid.matrix.tolist(), grid.first,
+        place.parts, place.address.rpartition("::")[0] if place.folder is None else "", _changed(image, place.folder),
+    )  # fmt: skip
+    digest = hashlib.sha256(repr(facts).encode())
     for each in deformation.maps:
         element = each.map
         digest.update(repr((each.inverse, each.after)).encode())
@@ -304,16 +295,10 @@ def _write_blocks(
     task = task_shape(target.blocks[0], shape, work.samples.dtype.itemsize, carried, runner.slots)
     chunks = chunks_of(task, shape)
     leads = list(boxes_of(chunks[:carried]))
-    boxes_total = math.prod(map(len, chunks[carried:]))
-    certificate, total = Certificate(0.0, 0.0), len(leads) * boxes_total
-    counts = {"blocks": total, "done": 0, "copied": 0, "read": 0, "copied_bytes": 0}
-    planned, advance = 0, advancing(tell, "warp", total)
-    for boxes in plans.portions(chunks[carried:]):
-        blocks, found = plan_boxes(work.warp, boxes, runner)
-        certificate |= found
-        planned += len(boxes)
-        tell("plan", planned, boxes_total)
-        if warn and planned == boxes_total:  # before the rest is written, if warnings are errors
+    counts = {"blocks": math.prod(map(len, chunks)), "done": 0, "copied": 0, "read": 0, "copied_bytes": 0}
+    advance = advancing(tell, "warp", counts["blocks"])
+    for blocks, certificate, last in planned(work.warp, chunks[carried:], runner, tell):
+        if warn and last:  # before the rest is written, if warnings are errors
             warn_of(certificate, work.warp.sampling.tolerance, 4, folds_of(maps), only_name(maps))
         items = itertools.product(leads, blocks)
         while some := list(itertools.islice(items, _AT_ONCE)):
@@ -327,24 +312,16 @@ def _write_block(work: Work, item: tuple[Box, Block]) -> tuple[Literal["done", "
     """Write a block; return whether it was there, was copied or computed, and the bytes of what was read for it."""
     lead, block = item
     target = work.target
-    _check_seen(work.place, target)
+    check_seen(work.place, target.site)
     box, part = (*lead, *block.box), (*lead, *block.part)
     if target.begun and target.is_done(0, box):
         return "done", 0
-    if block.identity and block.part == block.box and work.level is not None:
-        count = target.copy(0, box, work.level, work.place.address)
-        if count is not None:
-            return "copied", count
+    if block.identity and block.part == block.box and work.stored:
+        return "copied", target.copy(0, box, work.samples, work.place.address)
     with work.place.reading(f"samples of it cannot be decoded, at {', '.join(f'{a}:{b}' for a, b in part)}"):
         samples = np.asarray(work.samples[tuple(slice(*each) for each in part)])
     target.write(0, box, work.warp.block(samples, block, work.carried))
     return "read", whole_chunks(part, work.samples.shape, work.samples.chunks) * samples.itemsize
-
-
-def _check_seen(source: Place, target: Target) -> None:
-    """Raise SuppleError on a worker that does not see the folders."""
-    check_seen(source.address, source.folder)
-    check_seen(target.address, target.site.folder)
 
 
 def _write_levels(work: Work, runner: Runner, tell: Tell, mode: Mode) -> None:
@@ -363,6 +340,6 @@ def _write_levels(work: Work, runner: Runner, tell: Tell, mode: Mode) -> None:
 
 def _reduce_block(work: Work, item: tuple[int, Box, Mode]) -> None:
     level, box, mode = item
-    _check_seen(work.place, work.target)
+    check_seen(work.place, work.target.site)
     if not (work.target.begun and work.target.is_done(level, box)):
         work.target.reduce(level, box, mode)

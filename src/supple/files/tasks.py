@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import functools
 import itertools
 import logging
 import os
@@ -11,14 +10,14 @@ import pickle
 import signal
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, TypeVar
 
 from supple._core import threads
 from supple.engine.work import Tell
 from supple.errors import SuppleError, need, said, shown
+from supple.media.stores.places import Place
 from supple.space.checks import refuse
 
 Job = TypeVar("Job")
@@ -76,17 +75,13 @@ class Runner:
         self, function: Callable[[Job, Item], Result], job: Job, items: Sequence[Item], advance: Advance
     ) -> list[Result]:
         """Compute a function of the job and of each item; ``advance`` is called whenever one is done."""
-        import dask.threaded
-        from dask.callbacks import Callback
-
-        # without arguments, since Dask would look for its own tasks in them
-        graph = {("supple", k): (functools.partial(function, job, item),) for k, item in enumerate(items)}
-        if not graph:
-            return []
         pool = ThreadPoolExecutor(self.slots)
         try:
-            with Callback(posttask=lambda *rest: advance()):  # type: ignore[no-untyped-call]
-                return list(dask.threaded.get(graph, list(graph), pool=pool))
+            futures = [pool.submit(function, job, item) for item in items]
+            for future in as_completed(futures):
+                future.result()  # which raises its error
+                advance()
+            return [future.result() for future in futures]
         finally:
             pool.shutdown(cancel_futures=True)  # after an error, no task goes on writing
 
@@ -106,12 +101,9 @@ def runner_of(running: Running) -> Iterator[Runner]:
         yield Runner()
         return
     need("zarr", "workers", "distributed")
-    with contextlib.ExitStack() as stack:
-        stack.enter_context(_quiet())
-        if running.scheduler is None:
-            yield stack.enter_context(_processes(running.workers or 1))
-        else:
-            yield stack.enter_context(_cluster(running.scheduler))
+    where = _processes(running.workers or 1) if running.scheduler is None else _cluster(running.scheduler)
+    with _quiet(), where as runner:
+        yield runner
 
 
 @contextlib.contextmanager
@@ -143,8 +135,6 @@ class _Distributed(Runner):
     def each(
         self, function: Callable[[Job, Item], Result], job: Job, items: Sequence[Item], advance: Advance
     ) -> list[Result]:
-        if not items:
-            return []
         futures: list[Any] = []
         with self._failing():
             try:
@@ -179,13 +169,9 @@ class _Distributed(Runner):
         except (ImportError, AttributeError) as error:
             text = f"{self._told} cannot do this ({said(error)}): install the same versions of Supple and of its"
             raise SuppleError(f"{text} packages there") from error
-        except (CancelledError, Cancelled) as error:
-            raise self._lost("their scheduler ended") from error
-        except OSError as error:
-            raise self._lost(said(error)) from error
-
-    def _lost(self, why: str) -> SuppleError:
-        return SuppleError(f"{self._told} were lost ({why}): start them again; the same command goes on")
+        except (CancelledError, Cancelled, OSError) as error:
+            why = said(error) if isinstance(error, OSError) else "their scheduler ended"
+            raise SuppleError(f"{self._told} were lost ({why}): start them again; the same command goes on") from error
 
 
 def _swapped(item: Item, *, function: Callable[[Job, Item], Result], job: Job) -> Result:
@@ -194,12 +180,11 @@ def _swapped(item: Item, *, function: Callable[[Job, Item], Result], job: Job) -
 
 @contextlib.contextmanager
 def _processes(count: int) -> Iterator[Runner]:
-    distributed = _distributed()
     # Each process has its share of the cores: tasks side by side, since chunks are decoded by one thread each.
     share = max(1, round(threads() / count))
     with _ignored():
         try:
-            cluster = distributed.LocalCluster(
+            cluster = _distributed().LocalCluster(
                 n_workers=count, threads_per_worker=share, processes=True, dashboard_address="127.0.0.1:0",
                 silence_logs=logging.CRITICAL, env={"SUPPLE_THREADS": str(share)}, preload=[__name__],
             )  # fmt: skip
@@ -208,7 +193,7 @@ def _processes(count: int) -> Iterator[Runner]:
                 f"{count} processes do not start ({said(error)}): give fewer workers; and in a script, call this "
                 'under if __name__ == "__main__":, since they import it'
             ) from error
-    with _closing(cluster), _closing(distributed.Client(cluster, timeout=_PATIENCE)) as client:
+    with _closing(cluster), _closing(_distributed().Client(cluster, timeout=_PATIENCE)) as client:
         yield _Distributed(client, "the processes that work")
 
 
@@ -263,11 +248,12 @@ def check_shared(addresses: Sequence[str | os.PathLike[str]]) -> None:
             )
 
 
-def check_seen(name: str, folder: Path | None) -> None:
+def check_seen(*places: Place) -> None:
     """Raise SuppleError on a worker that does not see a folder, to Zarr a store of fill values, or a file."""
-    if folder is not None and not folder.exists():
-        text = f"{shown(name)} is gone, or a worker does not see it: give addresses that all workers reach, and start"
-        raise SuppleError(f"{text} them where these are")
+    for place in places:
+        if place.folder is not None and not place.folder.exists():
+            text = f"{shown(place.address)} is gone, or a worker does not see it: give addresses that all workers reach"
+            raise SuppleError(f"{text}, and start them where these are")
 
 
 def _distributed() -> Any:

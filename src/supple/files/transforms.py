@@ -280,7 +280,7 @@ def _write_chunks(work: Work, item: tuple[int, list[Box]]) -> tuple[Certificate,
     """
     way, boxes = item
     target = work.target
-    check_seen(target.address, target.site.folder)
+    check_seen(target.site)
     certificate, new, there = Certificate(0.0, 0.0), 0, 0
     for box in boxes:
         done = target.begun and target.is_done(way, box)

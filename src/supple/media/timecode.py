@@ -91,13 +91,11 @@ class Numbering:
         base, drops = self._base, self._drops(text)
         if self.varies:
             raise SuppleError(f"{what} {text}: the frame rate of {self.name} varies: give the number of a frame")
-        if self.start and drops != self._drops(self.start):
-            raise SuppleError(f"{what} {text}: {self.name} begins at {self.start}: write timecodes as this one")
-        if not drops and text != self.start and re.search("[;.]", text):
-            raise SuppleError(f"{what} {text}: no numbers are dropped at {base} frames a second: write it with a colon")
-        if max(minutes, seconds) > 59 or frames >= base:
-            raise SuppleError(f"{what} {text} is no timecode of {self.name}, which has {base} frames a second")
-        if frames < drops and seconds == 0 and minutes % 10:
-            after = f"{text[:-2]}{drops:02d}"
-            raise SuppleError(f"{what} {text} is a number that is dropped: the next frame is {after}")
+        otherwise = (self.start and drops != self._drops(self.start)) or (
+            not drops and text != self.start and re.search("[;.]", text)
+        )
+        dropped = frames < drops and seconds == 0 and minutes % 10
+        if otherwise or dropped or max(minutes, seconds) > 59 or frames >= base:
+            written = f"of {base} frames a second, written as {self.start or '00:00:00:00'}"
+            raise SuppleError(f"{what} {text} is no timecode of {self.name}, which is {written}")
         return ((60 * hours + minutes) * 60 + seconds) * base + frames - self._dropped(60 * hours + minutes, drops)

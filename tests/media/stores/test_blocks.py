@@ -46,10 +46,10 @@ def test_blocks_are_copied_as_they_are(form: int, sharded: bool, remote: bool, t
     arrays = image(f"{root}/in.zarr", form, version, shards=(1, 2, 8, 16, 32) if sharded else None)
     like = open_image(f"{root}/in.zarr")
     target = create(f"{root}/out.zarr", like, job="a")
-    counts = [target.copy(0, box, like.levels[0], like.address) for box in boxes(target, 0)]
+    counts = [target.copy(0, box, like.levels[0].array, like.address) for box in boxes(target, 0)]
     assert all(counts)
     assert target.is_done(0, whole(target))
-    total = target.copy(1, whole(target, 1), like.levels[1], like.address)
+    total = target.copy(1, whole(target, 1), like.levels[1].array, like.address)
     np.testing.assert_array_equal(target.arrays[0][...], arrays[0])
     np.testing.assert_array_equal(target.arrays[1][...], arrays[1])
     if not remote:
@@ -57,49 +57,6 @@ def test_blocks_are_copied_as_they_are(form: int, sharded: bool, remote: bool, t
         chunks = [name for name in kept if name[0] in "01" and not name.endswith((".json", ".zarray", ".zattrs"))]
         assert all(kept[name] == made[name] for name in chunks)
         assert sum(len(kept[name]) for name in chunks) == sum(map(int, filter(None, counts))) + int(total or 0)
-
-
-def test_blocks_that_are_stored_otherwise_are_not_copied(tmp_path: Path) -> None:
-    values, like = small(tmp_path / "in.zarr")
-    target = create(tmp_path / "out.zarr", like, job="a")
-    box = [(0, 2), (0, 4), (0, 4)]
-
-    def other(name: str, **more: Any) -> Any:
-        made = {"shape": (4, 9, 9), "dtype": "u2", "chunks": (2, 4, 4), "fill_value": 7} | more
-        zarr.create_array(str(tmp_path / name), **made)
-        return open_image(tmp_path / name).levels[0]
-
-    assert target.copy(0, box, other("same"), tmp_path) == 0
-    assert not target.is_done(0, box)
-    assert target.copy(0, box, like.levels[0], like.address)
-    for k, more in enumerate(
-        (
-            {"dtype": "i2"},
-            {"chunks": (2, 4, 5)},
-            {"fill_value": 0},
-            {"compressors": None},
-            {"zarr_format": 2},
-            {"chunks": (1, 2, 2), "shards": (2, 4, 4)},
-            {"shape": (1, 9, 9)},
-            {"shape": (1, 4, 9, 9), "chunks": (1, 2, 4, 4)},
-        )
-    ):
-        assert target.copy(0, box, other(str(k), **more), tmp_path) is None
-    # another encoding of keys is no other encoding of chunks
-    flat = other("flat", chunk_key_encoding={"name": "v2", "separator": "."})
-    writable = zarr.open_array(str(tmp_path / "flat"), mode="r+")
-    writable[...] = values
-    assert target.copy(0, whole(target), flat, tmp_path)
-    np.testing.assert_array_equal(target.arrays[0][...], values)
-
-
-def test_nan_as_fill_value_is_equal_to_itself(tmp_path: Path) -> None:
-    for name in ("a", "b"):
-        zarr.create_array(str(tmp_path / name), data=np.ones((4, 4), np.float32), chunks=(2, 2), fill_value=np.nan)
-    target = create(tmp_path / "out.zarr", open_image(tmp_path / "a"), job="a")
-    assert create(tmp_path / "out.zarr", open_image(tmp_path / "a"), job="a").copy(
-        0, whole(target), open_image(tmp_path / "b").levels[0], tmp_path / "b"
-    )
 
 
 @given(
@@ -131,11 +88,11 @@ def test_an_incomplete_group_is_left_out_where_the_input_does(tmp_path: Path) ->
     group = zarr.create_group(str(tmp_path / "in.zarr"), attributes=attributes)
     group.create_array("0", shape=(9, 11), dtype="u1", chunks=(4, 4))
     group.create_array("1", shape=(4, 5), dtype="u1", chunks=(4, 4))
-    target = create(tmp_path / "out.zarr", open_image(tmp_path / "in.zarr"), shape=(7, 13), job="a")
-    assert [array.shape for array in target.arrays] == [(7, 13), (3, 6)]
-    values = RNG.integers(0, 255, (7, 13), np.uint8)
+    target = create(tmp_path / "out.zarr", open_image(tmp_path / "in.zarr"), job="a")
+    assert [array.shape for array in target.arrays] == [(9, 11), (4, 5)]
+    values = RNG.integers(0, 255, (9, 11), np.uint8)
     fill(target, values)
-    np.testing.assert_array_equal(target.arrays[1][...], exact(values[:6, :12], [2, 2]))
+    np.testing.assert_array_equal(target.arrays[1][...], exact(values[:8, :10], [2, 2]))
 
 
 def test_a_chunk_without_content_is_not_done(tmp_path: Path) -> None:
@@ -159,7 +116,6 @@ def test_a_store_that_fails_in_the_middle(
     kind = FsspecStore if remote else LocalStore
     for error, expected in (
         (OSError(errno.ENOSPC, "No space left on device"), "No space left on device: make room"),
-        (PermissionError(errno.EACCES, "Permission denied"), "Permission denied: choose a place"),
         (OSError("bucket is gone"), "bucket is gone: choose another place"),
     ):
 
@@ -170,7 +126,7 @@ def test_a_store_that_fails_in_the_middle(
             patched.setattr(kind, "set", failing)
             for act in (
                 lambda: target.write(0, whole(target), values),
-                lambda: target.copy(0, whole(target), like.levels[0], like.address),
+                lambda: target.copy(0, whole(target), like.levels[0].array, like.address),
                 lambda: create(f"{root}/other.zarr", like, job="a"),
             ):
                 with pytest.raises(SuppleError, match=expected) as told:
@@ -216,5 +172,5 @@ def test_a_source_that_cannot_be_read_is_named(
     monkeypatch.setattr(FsspecStore if remote else LocalStore, "get", failing)
     told = "it cannot be reached" if remote else "its chunks cannot be read"
     with pytest.raises(SuppleError, match=rf"^cannot read {root}/in\.zarr: {told} \(.*Input/output error\): \w+"):
-        target.copy(0, whole(target), like.levels[0], like.address)
+        target.copy(0, whole(target), like.levels[0].array, like.address)
     assert not target.is_done(0, [(0, 2), (0, 4), (0, 4)])

@@ -56,27 +56,6 @@ def test_a_folder_is_held_until_its_process_ends(ends: str, tmp_path: Path) -> N
         assert create(out, like, job="a").begun
 
 
-def test_it_is_held_for_other_jobs_of_one_process_as_well(tmp_path: Path) -> None:
-    """A job that failed lets go, though its error may be kept."""
-    values, like = small(tmp_path / "in.zarr")
-
-    @holding()
-    def failing() -> None:
-        create(tmp_path / "out.zarr", like, job="a")
-        raise KeyError
-
-    with pytest.raises(KeyError) as kept:
-        failing()
-    assert kept.tb is not None
-    with holding():
-        again = create(tmp_path / "out.zarr", like, job="a")
-        fill(again, values)
-        again.finish()
-        # what is finished has its name; another may begin, which makes its own
-        create(tmp_path / "out.zarr", like, job="b", force=True)
-    assert sorted(files(tmp_path / "in.zarr")) == sorted(files(tmp_path / "out.zarr"))
-
-
 @pytest.mark.parametrize("gone", ["all", "marker", "job"])
 def test_what_is_there_no_more_is_not_published(gone: str, tmp_path: Path) -> None:
     """Two processes that wrote the same: the other one has finished, and the last blocks of this one came later."""
@@ -96,90 +75,6 @@ def test_what_is_there_no_more_is_not_published(gone: str, tmp_path: Path) -> No
         target.finish()
     assert files(tmp_path) == before
     assert (gone == "all") != partial.exists()
-
-
-def test_an_output_that_another_job_has_taken_at_an_address_stays_unfinished(memory: str) -> None:
-    values, like = small(f"{memory}/in.zarr")
-    first = create(f"{memory}/out.zarr", like, job="one")
-    fill(first, values)
-    create(f"{memory}/out.zarr", like, job="two", force=True)
-    with pytest.raises(SuppleError, match=GONE):
-        first.finish()
-    with pytest.raises(SuppleError, match="unfinished"):
-        open_image(f"{memory}/out.zarr")
-
-
-def test_an_output_that_appears_while_its_folder_is_waited_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Another process has finished it between the first look and the lock: nothing is left beside it."""
-    from supple.media.stores import target as claims
-
-    values, like = small(tmp_path / "in.zarr")
-    hold = claims._hold
-
-    def late(place: Any, folder: Path) -> None:
-        shutil.copytree(tmp_path / "in.zarr", tmp_path / "out.zarr")
-        hold(place, folder)
-
-    monkeypatch.setattr(claims, "_hold", late)
-    with holding(), pytest.raises(SuppleError, match="exists already"):
-        create(tmp_path / "out.zarr", like, job="a")
-    assert sorted(os.listdir(tmp_path)) == ["in.zarr", "out.zarr"]
-    np.testing.assert_array_equal(open_image(tmp_path / "out.zarr").levels[0].array[...], values)
-
-
-def test_another_job_that_begins_while_its_folder_is_waited_for(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """And is killed, with a block written: that is its own, and stays."""
-    from supple.media.stores import target as claims
-
-    values, like = small(tmp_path / "in.zarr")
-    hold, calls = claims._hold, []
-
-    def late(place: Any, folder: Path) -> None:
-        calls.append(folder)
-        if len(calls) == 1:
-            with holding():
-                other = create(tmp_path / "out.zarr", like, job="b")
-                other.write(0, whole(other), values)
-        hold(place, folder)
-
-    monkeypatch.setattr(claims, "_hold", late)
-    with holding(), pytest.raises(SuppleError, match="is the unfinished output of another job"):
-        create(tmp_path / "out.zarr", like, job="a")
-    other = create(tmp_path / "out.zarr", like, job="b")
-    assert other.is_done(0, whole(other))
-    other.finish()
-    assert sorted(files(tmp_path / "in.zarr")) == sorted(files(tmp_path / "out.zarr"))
-
-
-@pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="nothing is held on Windows")
-def test_a_folder_that_gets_its_name_while_it_is_locked_is_not_the_one(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Another process has finished it in that moment: what is locked is in an output now."""
-    from supple.media.stores import target as claims
-
-    values, like = small(tmp_path / "in.zarr")
-    small(tmp_path / "out.zarr")
-    lock, calls = claims.locked, []
-
-    def late(path: Path) -> Any:
-        calls.append(path)
-        file = lock(path)
-        if len(calls) == 1:
-            path.parent.rename(tmp_path / "moved")
-        return file
-
-    monkeypatch.setattr(claims, "locked", late)
-    with holding():
-        target = create(tmp_path / "out.zarr", like, job="a", force=True)
-        fill(target, values + 1)
-        assert lock(tmp_path / "out.zarr.partial" / "supple.lock") is None
-        target.finish()
-    assert len(calls) == 2
-    assert os.listdir(tmp_path / "moved") == ["supple.lock"]
-    np.testing.assert_array_equal(open_image(tmp_path / "out.zarr").levels[0].array[...], values + 1)
 
 
 @pytest.mark.parametrize("own", [False, True])

@@ -16,7 +16,7 @@ from supple.media.suffixes import CLIPS_OUT
 from supple.media.video import ClipWarning, info, plan
 from tests import clips
 from tests.children import ROOT
-from tests.media.video.copies import assert_nothing_left, assert_same_frames, copy, read
+from tests.media.video.copies import assert_nothing_left, copy, read
 
 
 @pytest.mark.parametrize(
@@ -117,15 +117,6 @@ def test_lossless_is_bit_for_bit(tmp_path, codec, suffix, name):
             np.testing.assert_array_equal(a, b)
 
 
-@pytest.mark.parametrize("preset", ["0", "6", "10"])
-def test_lossless_is_bit_for_bit_with_any_preset_of_av1(tmp_path, preset):
-    source = clips.make(tmp_path / "a.nut", "rawvideo", count=2, size=(64, 64), smooth=False)
-    copy(source, tmp_path / "b.mkv", codec="av1", preset=preset, lossless=True)
-    for one, two in zip(read(source), read(tmp_path / "b.mkv"), strict=True):
-        for a, b in zip(one, two, strict=True):
-            np.testing.assert_array_equal(a, b)
-
-
 @pytest.mark.parametrize(("preset", "crf"), [("10", 1), ("11", 8), ("13", 8)])
 def test_what_av1_is_let_write_decodes(tmp_path, preset, crf):
     source = clips.make(tmp_path / "a.nut", "rawvideo", count=6, size=(320, 192), smooth=False)
@@ -160,19 +151,6 @@ def test_profiles_of_dnxhr_are_passed_on(tmp_path, name, profile, want):
     with av.open(str(tmp_path / "b.mov")) as made:
         assert made.streams.video[0].codec_context.profile == want
         assert made.streams.video[0].codec_context.pix_fmt == name
-
-
-def test_an_encoder_without_its_device_is_said(tmp_path):
-    context = av.CodecContext.create("h264_nvenc", "w")
-    context.width, context.height, context.pix_fmt, context.time_base = 640, 480, "yuv420p", Fraction(1, 25)
-    try:
-        context.open()
-    except (av.FFmpegError, ValueError):
-        source = clips.make(tmp_path / "a.mp4", count=2)
-        with pytest.raises(SuppleError, match="h264_nvenc cannot be started here"):
-            copy(source, tmp_path / "b.mp4", codec="h264_nvenc")
-    else:
-        pytest.skip("there is one")
 
 
 @pytest.mark.parametrize("count", [1, 2, 3])
@@ -239,18 +217,6 @@ def test_an_encoder_leaves_the_priority_of_its_caller(tmp_path, codec):
     before = os.sched_getscheduler(0)
     copy(clips.make(tmp_path / "a.mkv", "ffv1", count=2), tmp_path / "b.mkv", codec=codec)
     assert os.sched_getscheduler(0) == before
-
-
-@pytest.mark.parametrize("suffix", ["mp4", "mov", "mkv", "webm", "avi"])
-@pytest.mark.parametrize("codec", ["nothing", "mpeg4"])
-def test_codecs_in_advice_are_lossless_where_that_is_asked(tmp_path, suffix, codec):
-    source = clips.make(tmp_path / "a.mkv", "ffv1", count=2)
-    with pytest.raises(SuppleError, match="use ") as told:
-        copy(source, tmp_path / f"b.{suffix}", lossless=True, codec=codec)
-    listed = str(told.value).rpartition("use ")[2].removesuffix(", or leave out lossless")
-    for codec in listed.split(", "):
-        copy(source, tmp_path / f"b.{suffix}", lossless=True, codec=codec)
-        assert_same_frames(source, tmp_path / f"b.{suffix}")
 
 
 @pytest.mark.filterwarnings("ignore:.* plays over and over")

@@ -104,19 +104,6 @@ def test_half_opacity_that_gif_drops_is_said(tmp_path, opacity, told):
     assert not told or "half transparent" in str(caught[0].message)
 
 
-@pytest.mark.parametrize("name", ["yuv420p", "yuv444p10le", "gray", "gbrp", "rgba", "yuv422p"])
-def test_rgb_for_a_plot(tmp_path, name):
-    source = clips.make(tmp_path / "a.nut", "rawvideo", name, 1)
-    [frame] = clips.decoded(source)
-    want = np.rint(frame.reformat(format="rgb48le", interpolation="BICUBIC").to_ndarray() / 257)
-    with open_video(source) as clip:
-        [arrays] = read(source)
-        shown = clip.to_rgb(arrays)
-    assert shown.dtype == np.uint8
-    assert shown.shape == (48, 64, 3)
-    assert np.abs(shown.astype(int) - want).max() <= 2
-
-
 @pytest.mark.parametrize("name", ["yuv444p", "yuv444p10le", "gbrp12le", "rgb48le", "gray12le", "gbrpf32le", "yuv420p"])
 @pytest.mark.parametrize("full", [False, True])
 def test_deep_rgb(tmp_path, name, full):

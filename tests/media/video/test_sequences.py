@@ -15,7 +15,6 @@ import pyvips
 
 from supple import SuppleError
 from supple.engine.work import Group, Layout
-from supple.media import files as folders
 from supple.media.image import DepthWarning, ImageWarning, PageWarning, read, write
 from supple.media.numbering import is_sequence
 from supple.media.sequence import open_clip as open_sequence
@@ -301,30 +300,6 @@ def test_what_ends_early_leaves_nothing(tmp_path: Path, error: type[BaseExceptio
         copy(tmp_path / "in", tmp_path / "out", fail)
     assert names(tmp_path) == ["in", "out"] if there else ["in"]
     assert not there or names(tmp_path / "out") == []
-
-
-def test_an_interrupt_while_files_are_moved_moves_them_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    save(tmp_path / "in", numbers(1, 4))
-    save(tmp_path / "out", numbers(2, 3), shape=(2, 2))
-    before = {name: (tmp_path / "out" / name).read_bytes() for name in numbers(2, 3)}
-    rename = os.rename
-    for stop in range(1, 7):
-        calls = []
-
-        def failing(a: Any, b: Any, stop: int = stop, calls: list[int] = calls) -> None:
-            calls.append(1)
-            if len(calls) == stop:
-                if stop % 2:
-                    raise OSError(28, "No space left on device")
-                rename(a, b)
-                raise KeyboardInterrupt
-            rename(a, b)
-
-        with monkeypatch.context() as patch:
-            patch.setattr(folders.os, "rename", failing)
-            with pytest.raises((KeyboardInterrupt, SuppleError)):
-                copy(tmp_path / "in", tmp_path / "out", force=True)
-        assert {name: (tmp_path / "out" / name).read_bytes() for name in names(tmp_path / "out")} == before
 
 
 def test_places_that_cannot_be_written_are_refused_first(tmp_path: Path) -> None:

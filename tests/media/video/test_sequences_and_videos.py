@@ -197,13 +197,6 @@ def test_what_a_film_of_pictures_loses_is_said_and_what_keeps_it(
         assert info(tmp_path / "b.mkv")["pixel_format"] == keeps
 
 
-def test_grey_pictures_lose_nothing_in_a_film(tmp_path: Path) -> None:
-    save(tmp_path / "in", numbers(1, 2), shape=(48, 64))
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        film(tmp_path / "in", tmp_path / "a.mp4")
-
-
 def test_what_a_sequence_loses_is_said(tmp_path: Path) -> None:
     gradients(tmp_path / "in", 1, "u2")
     with pytest.warns(ClipWarning, match="depth .16 to 8 bits"):

@@ -29,15 +29,6 @@ def test_variable_rate_is_kept(tmp_path, codec):
     assert [t * 90000 for t in clips.when(tmp_path / "b.mp4")] == times
 
 
-def test_variable_rate_into_matroska_is_kept_to_the_millisecond(tmp_path):
-    times = [0, 7, 11, 100, 101, 140, 900, 901, 902, 3000]
-    source = clips.make(tmp_path / "a.mp4", times=times, base=Fraction(1, 1000))
-    copy(source, tmp_path / "b.mkv")
-    assert [t * 1000 for t in clips.when(tmp_path / "b.mkv")] == times
-    copy(tmp_path / "b.mkv", tmp_path / "c.mp4")
-    assert [t * 1000 for t in clips.when(tmp_path / "c.mp4")] == times
-
-
 def test_a_pause_is_kept_in_avi(tmp_path):
     times = [k + 50 * (k > 4) for k in range(10)]
     source = clips.make(tmp_path / "a.mp4", times=times)
@@ -66,13 +57,6 @@ def test_times_that_avi_cannot_keep_are_told(tmp_path):
 def test_a_variable_rate_is_told(tmp_path, times, base, varies):
     source = clips.make(tmp_path / "a.mkv", times=list(times), base=base)
     assert info(source)["variable"] is varies
-
-
-def test_durations_are_kept(tmp_path):
-    times = [0, 100, 300, 400, 900]
-    source = clips.make(tmp_path / "a.mp4", count=5, times=times, base=Fraction(1, 1000), options={"bf": "0"})
-    copy(source, tmp_path / "b.mp4")
-    assert info(tmp_path / "b.mp4")["duration"] == pytest.approx(info(source)["duration"], abs=1e-3)
 
 
 def test_frames_before_an_edit_list_begins_are_not_shown(tmp_path):

@@ -6,6 +6,7 @@ models of version 0.6, refuses axes without a type, which many files have, and a
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import math
 import os
@@ -17,7 +18,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from supple.errors import SuppleError, VolumeWarning, said
+from supple.errors import VolumeWarning, listing, said
 from supple.media.files import PathLike
 from supple.media.stores.places import Place, quiet
 from supple.media.transforms.ngff import Json, Refusal, ome_of, parsing, space_matrix
@@ -26,7 +27,7 @@ from supple.space.geometry import Grid
 LABELS = "labels"
 """The group of an image's label images."""
 _PIXELS = ("", "pixel", "pixels", "voxel", "voxels")  # of programs, not of the specification
-_KINDS = ("time", "channel", "space")
+
 _GUESSED = {"t": "time", "c": "channel", "z": "space", "y": "space", "x": "space"}
 _CARRIED = re.compile("(time )?(channel |other )?(space ){2,3}")  # the kinds of axes
 _MEND = "mend its metadata"
@@ -34,7 +35,7 @@ _MOST = 8  # names in a message
 
 
 class StoredAxis(NamedTuple):
-    """An axis of a stored image: a name, a kind (of `_KINDS`; both may be empty), and what the store says of it."""
+    """An axis of a stored image: a name, a kind (time, channel or space), which may be empty, and its description."""
 
     name: str
     kind: str
@@ -129,24 +130,20 @@ def open_image(address: PathLike, *, ndim: int | None = None) -> StoredImage:
 def described(place: Place, node: Any, ndim: int | None) -> StoredImage:
     """Return the image of an array or a group that is open."""
     attributes = dict(node.attrs)
-    if hasattr(node, "shape"):
-        image = _plain(place, node, attributes, ndim)
-    elif "multiscales" not in ome_of(attributes):
-        names = []
-        with quiet(), warnings.catch_warnings():
-            try:
-                names = sorted(node.keys())
-            except Exception:  # not every server lists
-                names = []
-        if not names:
-            raise place.unreadable("it is a group without an image", "give an OME-Zarr image or an array")
-        listed = ", ".join(names[:_MOST]) + (" and more" if len(names) > _MOST else "")
-        what = f"it is a group without an image, and holds {listed}"
-        raise place.unreadable(what, f"give one of them, as {place.address.rstrip('/')}/{names[0]}")
-    else:
-        with parsing(place.unreadable):
+    with parsing(place.unreadable):
+        if hasattr(node, "shape"):
+            image = _plain(place, node, attributes, ndim)
+        elif "multiscales" in ome_of(attributes):
             image = _multiscale(place, node, attributes, ndim)
-    _ = image.grid  # it raises for units that are no lengths
+        else:
+            names: list[str] = []
+            with quiet(), contextlib.suppress(Exception):  # not every server lists
+                names = sorted(node.keys())
+            if not names:
+                raise place.unreadable("it is a group without an image", "give an OME-Zarr image or an array")
+            what = f"it is a group without an image, and holds {listing(names, _MOST)}"
+            raise place.unreadable(what, f"give one of them, as {place.address.rstrip('/')}/{names[0]}")
+        _ = image.grid  # it raises for units that are no lengths
     return image
 
 
@@ -177,15 +174,13 @@ def _multiscale(place: Place, group: Any, attributes: Json, ndim: int | None) ->
         raise place.unreadable(f"its image has {space} axes of space", f"give at most {space} for ndim")
     shared = [] if version == "0.6" else image.get("coordinateTransformations") or []
     levels: list[Level] = []
-    if not image["datasets"]:
-        raise place.unreadable("its image has no datasets", _MEND)
     for dataset in image["datasets"]:
         path = dataset["path"].strip("/")
         if not path or {"..", "."} & set(path.split("/")):
             raise place.unreadable(f"its datasets have the path {dataset['path']!r}", _MEND)
-        if not dataset["coordinateTransformations"]:
-            raise place.unreadable(f"its level {path} has no coordinateTransformations", "add a scale")
-        array = _array(place, group, path)
+        with place.reading(f"its array {path} is missing or damaged"), quiet():
+            array = group[path]
+        _check_samples(place, array, f" {path}")
         if array.ndim != n:
             names = ", ".join(axis.name for axis in axes)
             what = f"its image has the axes {names}, and its array {path} has {array.ndim} of them"
@@ -198,10 +193,6 @@ def _multiscale(place: Place, group: Any, attributes: Json, ndim: int | None) ->
         if not fall or before[: n - space] != after[: n - space]:
             what = f"its levels {one.path} and {other.path} have the shapes {before} and {after}"
             raise place.unreadable(what, "list the levels from the finest to the coarsest, once each")
-        kinds = [(each.array.dtype, each.array.metadata.zarr_format) for each in (one, other)]
-        if kinds[0] != kinds[1]:
-            types = " and ".join(f"{dtype} in Zarr format {form}" for dtype, form in kinds)
-            raise place.unreadable(f"its levels {one.path} and {other.path} are of {types}", "give levels of one type")
     spatial = tuple(range(n - (ndim or space), n))
     name, labels = str(image.get("name") or ""), _labels(place, group)
     return StoredImage(place.address, version, axes, tuple(levels), spatial, name, attributes, labels)
@@ -213,8 +204,6 @@ def _axes(image: Json, error: Refusal) -> tuple[StoredAxis, ...]:
         end = image["datasets"][0]["coordinateTransformations"][0].get("output")
         name = end.get("name") if isinstance(end, Mapping) else end
         fitting = [system["axes"] for system in systems if name in (None, system["name"])]
-        if not fitting:
-            raise error(f"it does not describe the coordinate system {name!r} of its levels", _MEND)
         listed = fitting[0]
     else:
         listed = image["axes"]
@@ -222,15 +211,10 @@ def _axes(image: Json, error: Refusal) -> tuple[StoredAxis, ...]:
     for one in listed:
         name, kind, unit = str(one["name"]), one.get("type"), one.get("unit")
         kind = _GUESSED.get(name.lower(), "") if kind is None else kind
-        if kind not in ("", *_KINDS):
-            raise error(f"its axis {name} is of the type {kind!r}", "use time, channel or space")
         axes.append(StoredAxis(name, kind, str(unit) if unit else None, one.get("orientation")))
-    names, kinds = [axis.name for axis in axes], [axis.kind for axis in axes]
-    if len(set(names)) < len(names):
-        raise error(f"its axes are named {', '.join(names)}", "give each a name of its own")
-    if not _CARRIED.fullmatch("".join(f"{kind or 'other'} " for kind in kinds)):
-        described = ", ".join(f"{axis.name} ({axis.kind or 'no type'})" for axis in axes)
-        what = f"its axes are {described}"
+    if not _CARRIED.fullmatch("".join(f"{axis.kind or 'other'} " for axis in axes)):
+        named = ", ".join(f"{axis.name} ({axis.kind or 'no type'})" for axis in axes)
+        what = f"its axes are {named}"
         raise error(what, "store them in the order time, channels, and two or three axes of space")
     return tuple(axes)
 
@@ -257,20 +241,6 @@ def _moved(steps: Sequence[Json], n: int, where: str, error: Refusal) -> tuple[t
     return tuple(scale.tolist()), tuple(translation.tolist())
 
 
-def _array(place: Place, group: Any, path: str) -> Any:
-    try:
-        with place.reading(f"its array {path} is damaged"), quiet():
-            array = group[path]
-    except SuppleError as error:
-        if isinstance(error.__cause__, KeyError):
-            raise place.unreadable(f"it lacks its array {path}") from error.__cause__
-        raise
-    if not hasattr(array, "shape"):
-        raise place.unreadable(f"its level {path} is a group, not an array", _MEND)
-    _check_samples(place, array, f" {path}")
-    return array
-
-
 def _check_samples(place: Place, array: Any, name: str) -> None:
     if np.dtype(array.dtype).kind not in "biuf":
         raise place.unreadable(f"its array{name} is of {array.dtype}", "give one of integers or real numbers")
@@ -281,8 +251,7 @@ def _check_samples(place: Place, array: Any, name: str) -> None:
 def _labels(place: Place, group: Any) -> tuple[str, ...]:
     try:
         with quiet():
-            attributes = dict(group[LABELS].attrs)
-        listed = attributes.get("ome", attributes).get(LABELS)
+            listed = ome_of(dict(group[LABELS].attrs)).get(LABELS)
     except KeyError:
         return ()
     except Exception as error:  # damaged, or not to be reached: the image itself can be read

@@ -169,20 +169,15 @@ def _with_opacity(path: str) -> SuppleError:
 
 def _check_kind(path: str, first: Any, page: Any) -> None:
     """Raise SuppleError for samples that are no numbers of a channel."""
-    what = ""
     if "S" in first.axes and any(int(kind) in _OPACITY for kind in page.extrasamples):
         raise _with_opacity(path)
-    if page.photometric == _PALETTE:
-        what = "its colours are a palette"
-    elif page.photometric == _WHITE_IS_ZERO:
-        what = "its samples are stored as negatives"
-    elif page.photometric == _YCBCR and int(page.compression) not in _JPEGS:
-        what = "its colours are YCbCr"
-    elif page.dtype is None or first.dtype.kind not in "biuf" or page.bitspersample % 8:
-        what = f"its samples have {page.bitspersample} bits"
-    elif "Orientation" in page.tags and page.tags["Orientation"].value not in (0, 1):
-        what = "its rows and columns are stored turned"
-    if what:
+    coded = page.photometric in (_PALETTE, _WHITE_IS_ZERO) or (
+        page.photometric == _YCBCR and int(page.compression) not in _JPEGS
+    )
+    odd = page.dtype is None or first.dtype.kind not in "biuf" or page.bitspersample % 8
+    turned = "Orientation" in page.tags and page.tags["Orientation"].value not in (0, 1)
+    if coded or odd or turned:
+        what = "its samples are colours of a palette, negatives, YCbCr, of parts of bytes, or stored turned"
         raise unreadable(path, f"{what}, which is read for pictures alone", "convert it, as vips copy does")
 
 
@@ -288,14 +283,21 @@ def _blocks(
     def covering(k: int, wanted: int) -> int:
         return min(-(-wanted // chunk[k]), -(-shape[k] // chunk[k])) * chunk[k]
 
-    most = max(min(_SHARD, math.prod(shape) * itemsize // _SHARDS), 1)
     shard = [covering(k, max(chunk[k], whole[k])) for k in range(len(shape))]
     while n == 3 and chunk[carried] > whole[carried] and math.prod(shard) * itemsize > 2 * _SHARD:
         chunk[carried] = shard[carried] = -(-chunk[carried] // 2)
-    while growing := [k for k in range(carried, len(shape)) if shard[k] < shape[k]]:
-        k = min(growing, key=lambda axis: shard[axis])
-        wider = covering(k, 2 * shard[k])
-        if math.prod(shard) // shard[k] * wider * itemsize > most:
-            break
-        shard[k] = wider
+    most = min(_SHARD, math.prod(shape) * itemsize // _SHARDS) // itemsize
+    grow(shard, shape, range(carried, len(shape)), most, lambda k: covering(k, 2 * shard[k]))
     return tuple(chunk), tuple(shard)
+
+
+def grow(sizes: list[int], shape: Sequence[int], axes: Sequence[int], most: float, wider: Callable[[int], int]) -> None:
+    """Enlarge a block of a shape along some axes, the shortest first, while it has no more than so many samples.
+
+    ``wider`` returns the next size along an axis.
+    """
+    while growing := [k for k in axes if sizes[k] < shape[k]]:
+        k = min(growing, key=lambda axis: sizes[axis])
+        if math.prod(sizes) // sizes[k] * wider(k) > most:
+            break
+        sizes[k] = wider(k)

@@ -6,60 +6,50 @@ import dataclasses
 import json
 from collections.abc import Sequence
 from itertools import pairwise, product
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 import numpy as np
 
 from supple.engine.work import Array
-from supple.media.stores.image import StoredImage
-from supple.media.stores.places import Place
+from supple.media.stores.image import Level, StoredImage
 from supple.media.transforms.ngff import ome_of
 
 Mode = Literal["mean", "nearest"]
 
 
-class Step(NamedTuple):
-    """How an axis of a level comes from that of the level before."""
-
-    factor: int
-    down: bool  # whether an incomplete group of samples at the end is left out
-
-    def size(self, before: int) -> int:
-        """Return the number of samples that come from ``before`` of them."""
-        return max(1, before // self.factor if self.down else -(-before // self.factor))
-
-
 def planned(
-    place: Place,
     like: StoredImage,
     shape: Sequence[int] | None,
     scale: Sequence[float] | None,
     translation: Sequence[float] | None,
-) -> tuple[dict[str, bytes], tuple[str, ...], list[tuple[Step, ...]]]:
+) -> tuple[dict[str, bytes], tuple[str, ...], list[tuple[int, ...]]]:
     """Return what is to be written for an image, on its grid or on another one.
 
     That is: all metadata, by their keys in the store; the paths of the arrays, the finest first; and for each level but
-    the finest, how each axis comes from the level before.
+    the finest, by how much each axis is smaller than that of the level before.
     """
     finest = like.levels[0]
     before = tuple(finest.array.shape)
     whole = before if shape is None else (*before[: len(before) - len(shape)], *shape)
     scales = finest.scale if scale is None else scale
     offsets = finest.translation if translation is None else translation
-    steps: list[tuple[Step, ...]] = []
+    steps: list[tuple[int, ...]] = []
     shapes = [whole]
     for fine, coarse in pairwise(like.levels):
-        step = tuple(_step(place, like, k, fine, coarse) for k in range(len(like.axes)))
-        after = tuple(axis.size(size) for axis, size in zip(step, shapes[-1], strict=True))
+        factors = tuple(_factor(fine, coarse, k) for k in range(len(like.axes)))
+        # an incomplete group of samples at the end is left out where the input has none
+        axes = zip(shapes[-1], factors, coarse.array.shape, strict=True)
+        after = tuple(own if whole == before and own == n // f else -(-n // f) for n, f, own in axes)
         if after == shapes[-1]:
             break  # the grid is so small that this level would be the one before
         shapes.append(after)
-        steps.append(step)
+        steps.append(factors)
     levels = like.levels[: len(shapes)]
     files: dict[str, bytes] = {}
     if like.version:
         form = finest.array.metadata.zarr_format
-        same = whole == before and tuple(scales) == finest.scale and tuple(offsets) == finest.translation
+        same = shapes == [level.array.shape for level in levels]
+        same = same and tuple(scales) == finest.scale and tuple(offsets) == finest.translation
         files |= group_files(
             "", form, _attributes(like, None if same else _placed(like, scales, offsets, steps), len(levels))
         )
@@ -72,23 +62,16 @@ def planned(
     return files, tuple(level.path for level in levels), steps
 
 
-def _step(place: Place, like: StoredImage, k: int, fine: Any, coarse: Any) -> Step:
-    before, after = fine.array.shape[k], coarse.array.shape[k]
-    if like.axes[k].kind != "space":
-        return Step(1, False)
+def _factor(fine: Level, coarse: Level, k: int) -> int:
     # The scale is asked first, since the sizes of short axes allow several factors. Some programs write the ratio of
     # the sizes there (2.002), and some the same scale for all levels: then the sizes decide.
-    ratios = coarse.scale[k] / fine.scale[k], before / after
-    steps = (Step(max(1, round(ratio)), down) for ratio in ratios for down in (False, True))
-    step = next((step for step in steps if step.size(before) == after), None)
-    if step is None:
-        what = f"levels like {like.address} are not made: {before} samples along {like.axes[k].name} become {after}"
-        raise place.unwritable(what, "give an image whose levels are smaller by whole factors")
-    return step
+    before, after = fine.array.shape[k], coarse.array.shape[k]
+    factor = max(1, round(coarse.scale[k] / fine.scale[k]))
+    return factor if after in (before // factor, -(-before // factor)) else max(1, round(before / after))
 
 
 def _placed(
-    like: StoredImage, scale: Sequence[float], translation: Sequence[float], steps: Sequence[Sequence[Step]]
+    like: StoredImage, scale: Sequence[float], translation: Sequence[float], steps: Sequence[Sequence[int]]
 ) -> list[tuple[list[float], list[float]]]:
     """Return the scales and translations of the levels of another grid, by the convention of the image.
 
@@ -99,11 +82,8 @@ def _placed(
     factors = np.ones(len(like.axes))
     placed = [(scales.tolist(), list(map(float, translation)))]
     for level, step in zip(like.levels[1:], steps, strict=False):
-        factors = factors * [axis.factor for axis in step]
-        offset = (np.array(level.translation) - first.translation) / first.scale
-        centred = (factors - 1) / 2
-        offset = np.where(np.abs(offset - centred) < 0.01 * factors, centred, offset)
-        offset = np.where(np.abs(offset) < 1e-6, 0, offset)
+        factors = factors * step
+        offset = np.round((np.array(level.translation) - first.translation) / first.scale, 3)  # without noise
         placed.append(((scales * factors).tolist(), (np.array(translation) + offset * scales).tolist()))
     return placed
 

@@ -127,11 +127,10 @@ class Place:
             yield
         except SuppleError:
             raise
-        except OSError as error:
-            _settle()
-            raise _refused(self.address, error) from error
         except Exception as error:
             _settle()
+            if isinstance(error, OSError):
+                raise _refused(self.address, error) from error
             if isinstance(error, NotImplementedError) or type(error).__module__.split(".")[0] in _CLIENTS:
                 raise self.unwritable(said(error), "choose another place") from error
             raise
@@ -139,13 +138,9 @@ class Place:
     def marker(self) -> dict[str, Any]:
         """Return the content of the marker in the root; empty if there is none of Supple's."""
         with contextlib.suppress(Exception):  # a store that cannot be reached is reported when it is opened itself
-            if self.folder is not None:
-                data = (self.folder / MARKER).read_bytes()
-            else:
-                store = self.store(read_only=True)
-                refresh(store)
-                data = read(store, MARKER) or b"{}"
-            content = json.loads(data)
+            store = self.store(read_only=True)
+            refresh(store)
+            content = json.loads(read(store, MARKER) or b"{}")
             if content["program"] == "supple":
                 return {"job": content["job"], "state": content["state"]}
         return {}

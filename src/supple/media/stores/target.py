@@ -25,8 +25,8 @@ import numpy.typing as npt
 
 from supple.errors import SuppleError, argument, shown
 from supple.media.files import ROOTS, PathLike, check_store, locked, publish_all
-from supple.media.stores.image import LABELS, Level, StoredImage
-from supple.media.stores.levels import Mode, Step, group_files, planned, reduced
+from supple.media.stores.image import LABELS, StoredImage
+from supple.media.stores.levels import Mode, group_files, planned, reduced
 from supple.media.stores.places import MARKER, Place, overlap, put, quiet, read, refresh, run
 
 Box = Sequence[tuple[int, int]]
@@ -78,18 +78,19 @@ def create(
     if relation and (relation != "same" or place.folder is None):  # a folder is replaced when the output is finished
         what = {"same": "it is the input too", "inside": "it lies in the input", "around": "the input lies in it"}
         raise place.unwritable(what[relation], "choose another place")
-    files, paths, steps = planned(place, like, shape, scale, translation)
+    files, paths, steps = planned(like, shape, scale, translation)
     return create_arrays(address, files, paths, steps, len(like.axes) - len(like.spatial), force=force, job=job)
 
 
 def create_arrays(
-    address: PathLike, files: dict[str, bytes], paths: Sequence[str], steps: Sequence[Sequence[Step]] = (),
+    address: PathLike, files: dict[str, bytes], paths: Sequence[str], steps: Sequence[tuple[int, ...]] = (),
     carried: int = 1, *, force: bool = False, job: str,
 ) -> Target:  # fmt: skip
     """Create an output of prepared metadata, or go on with one that was interrupted, as `create` does.
 
-    ``files`` are all metadata, by their keys; ``paths`` the arrays, which become the levels; ``steps`` how each level
-    but the first comes from the one before, if it does; ``carried`` the number of axes before those of space.
+    ``files`` are all metadata, by their keys; ``paths`` the arrays, which become the levels; ``steps`` by how much each
+    axis of a level but the first is smaller than that of the one before; ``carried`` the number of axes before those of
+    space.
     """
     import zarr
 
@@ -130,13 +131,7 @@ def _claim(place: Place, job: str, force: bool) -> tuple[Place, bool]:
     folder = site.folder
     if folder is not None:
         _hold(place, folder)
-        try:  # once more, since another process may have had it until now
-            site, begun = _look(place, job, force)
-        except SuppleError:
-            with contextlib.suppress(OSError):  # it is not empty
-                os.unlink(folder / LOCK)
-                os.rmdir(folder)
-            raise
+        site, begun = _look(place, job, force)  # once more, since another process may have had it until now
     if not begun:
         store = site.store(read_only=False)
         _mark(store, "")  # if clearing is interrupted, what is left is of no job
@@ -146,7 +141,7 @@ def _claim(place: Place, job: str, force: bool) -> tuple[Place, bool]:
 
 
 def _look(place: Place, job: str, force: bool) -> tuple[Place, bool]:
-    """Return where an output is written, and whether the same job has begun it.
+    """Return where an output is written, and whether the same job has begun it, so that it can be continued.
 
     SuppleError if something else is there that is not to be replaced.
     """
@@ -155,13 +150,11 @@ def _look(place: Place, job: str, force: bool) -> tuple[Place, bool]:
         target = check_store(place.folder if "://" in place.address else place.address, force=force)
         site = Place(target.with_name(f"{target.name}.partial"))
     if marker := site.marker():
-        if marker["job"] == job and site.atomic:
-            return site, True
+        if marker["job"] == job:
+            return site, site.atomic  # where an object may be incomplete, it begins anew
         if not force:
             name = "it" if site.folder is None else shown(site.folder.name)
             what = f"{name} is the unfinished output of another job"
-            if marker["job"] == job:
-                what = "it is unfinished, and objects there may be incomplete"
             raise place.unwritable(what, f"choose another name, or {argument('force', True)}, which starts anew")
     elif site.folder is not None:
         # killed before the marker was there, a process left nothing else
@@ -185,15 +178,11 @@ def _hold(place: Place, folder: Path) -> None:
     """Make a folder, and lock it within `holding`; SuppleError if another process has locked it."""
     folder.mkdir(exist_ok=True)
     stack = _HOLDS.get()
-    while stack is not None and sys.platform != "win32":  # where a folder with an open file cannot be renamed
-        with contextlib.suppress(FileNotFoundError):  # another process has just finished: that folder has its name
-            if (file := locked(folder / LOCK)) is None:
-                what = "it is being written by another process"
-                raise place.unwritable(what, "wait until that has ended, or choose another name")
-            stack.enter_context(file)
-            if os.path.samestat(os.fstat(file.fileno()), os.stat(folder / LOCK)):
-                return
-        folder.mkdir(exist_ok=True)
+    if stack is not None and sys.platform != "win32":  # where a folder with an open file cannot be renamed
+        if (file := locked(folder / LOCK)) is None:
+            what = "it is being written by another process"
+            raise place.unwritable(what, "wait until that has ended, or choose another name")
+        stack.enter_context(file)
 
 
 def _clear(site: Place, store: Any) -> None:
@@ -231,12 +220,12 @@ class Target:
     """
 
     def __init__(
-        self, place: Place, site: Place, arrays: tuple[Any, ...], steps: Sequence[Sequence[Step]], carried: int,
+        self, place: Place, site: Place, arrays: tuple[Any, ...], steps: Sequence[tuple[int, ...]], carried: int,
         job: str, force: bool, begun: bool,
     ) -> None:  # fmt: skip
         self.address, self.site, self.arrays, self.begun = place.address, site, arrays, begun
         self.blocks = tuple(tuple(array.metadata.chunk_grid.chunk_shape) for array in arrays)
-        self.factors = ((1,) * arrays[0].ndim, *(tuple(axis.factor for axis in step) for step in steps))
+        self.factors = ((1,) * arrays[0].ndim, *steps)
         self._place, self._carried, self._job, self._force = place, carried, job, force
 
     def is_done(self, level: int, box: Box) -> bool:
@@ -259,26 +248,21 @@ class Target:
         with self._place.writing():
             self.arrays[level][tuple(slice(a, b) for a, b in box)] = values
 
-    def copy(self, level: int, box: Box, source: Level, address: PathLike) -> int | None:
-        """Copy an aligned box of a level of another store, at ``address``, as it is compressed; return its bytes.
+    def copy(self, level: int, box: Box, source: Any, address: PathLike) -> int:
+        """Copy an aligned box of a level of the image that it is like as it is compressed; return its bytes.
 
-        Blocks that the source does not store are left out, as they hold its fill value. None if chunks, codecs, types,
-        fill values or formats differ: then the samples must be written.
+        ``source`` is the array of that level, at ``address``. Blocks that it does not store are left out, as they hold
+        its fill value.
         """
         from zarr.core.buffer import default_buffer_prototype
 
         array = self.arrays[level]
-        names = list(self._keys(level, box, array))
-        shape = tuple(source.array.shape)
-        if len(shape) != array.ndim or _encoding(array) != _encoding(source.array):
-            return None
-        if any(stop > size for (_, stop), size in zip(box, shape, strict=True)):
-            return None
         # all is read before any is written, so that each error is of its own side: a box is no more than a task's
         with Place(address).reading("its chunks cannot be read"):
-            get = functools.partial(source.array.store.get, prototype=default_buffer_prototype())
-            found = run(_each(get, self._keys(level, box, source.array)))
-        pairs = [(name, data) for name, data in zip(names, found, strict=True) if data is not None]
+            get = functools.partial(source.store.get, prototype=default_buffer_prototype())
+            found = run(_each(get, self._keys(level, box, source)))
+        named = zip(self._keys(level, box, array), found, strict=True)
+        pairs = [(name, data) for name, data in named if data is not None]
         with self._place.writing():
             run(_each(lambda pair: array.store.set(*pair), pairs))
         return sum(len(data) for _, data in pairs)
@@ -289,19 +273,14 @@ class Target:
         ends = zip(box, factors, source.shape, strict=True)
         region = [(a * factor, min(b * factor, size)) for (a, b), factor, size in ends]
         values = np.empty([b - a for a, b in box], source.dtype)
-        # slab by slab, since many shards are read for one; and plane by plane, since sums are wider than samples
+        # slab by slab, since many shards are read for one
         k = self._carried
-        step, factor = self.arrays[level].chunks[k], factors[k]
-        first, end = region[k]
+        step, (first, end) = self.arrays[level].chunks[k], region[k]
         for at in range(0, values.shape[k], step):
-            start, stop = first + at * factor, min(first + (at + step) * factor, end)
+            region[k] = first + at * factors[k], min(first + (at + step) * factors[k], end)
             with self._place.reading(f"its level {level - 1} cannot be read"):
-                slab = np.asarray(
-                    source[tuple(slice(*span) for span in (*region[:k], (start, stop), *region[k + 1 :]))]
-                )
-            for plane in range(-(-(stop - start) // factor)):
-                some = (slice(None),) * k + (slice(plane * factor, (plane + 1) * factor),)
-                values[(slice(None),) * k + (slice(at + plane, at + plane + 1),)] = reduced(slab[some], factors, mode)
+                slab = np.asarray(source[tuple(slice(*span) for span in region)])
+            values[(slice(None),) * k + (slice(at, at + step),)] = reduced(slab, factors, mode)
         self.write(level, box, values)
 
     def put_labels(self, names: Sequence[str], version: str) -> None:
@@ -354,14 +333,6 @@ class Target:
         prefix = f"{array.path}/" if array.path else ""
         ranges = [range(a // n, -(-b // n)) for (a, b), n in zip(box, self.blocks[level], strict=True)]
         return (prefix + array.metadata.encode_chunk_key(place) for place in product(*ranges))
-
-
-def _encoding(array: Any) -> str:
-    """Return all that determines how a chunk is stored; as text, in which NaN equals NaN."""
-    metadata = dict(array.metadata.to_dict())
-    for name in ("shape", "attributes", "chunk_key_encoding", "dimension_separator", "dimension_names"):
-        metadata.pop(name, None)
-    return json.dumps(metadata, sort_keys=True, default=repr)
 
 
 async def _each(act: Callable[[Item], Awaitable[Any]], items: Iterable[Item]) -> list[Any]:

@@ -7,9 +7,10 @@ import itertools
 import math
 import warnings
 from collections import deque
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from fractions import Fraction
+from functools import cached_property
 from typing import Any
 
 from supple.errors import need, shown
@@ -19,6 +20,7 @@ need("video", "videos and image sequences", "av")
 import av
 import numpy as np
 
+from supple._core import threads as all_threads
 from supple.engine.work import Array
 from supple.media.base import ClipWarning, CountError, LazyFrame
 from supple.media.codecs import codec_of
@@ -38,7 +40,7 @@ from supple.media.video.colour import (
     to_rgb,
 )
 from supple.media.video.encode import writer
-from supple.media.video.plan import container_of, workers
+from supple.media.video.plan import container_of
 from supple.media.video.planes import form, palette, unpack, wider
 from supple.media.video.source import VideoSource
 from supple.media.video.streams import named
@@ -57,12 +59,11 @@ class Clip(VideoSource):
     source: av.container.InputContainer
 
     def __init__(self, path: PathLike, threads: int | None, count: int | None) -> None:
-        self._threads = workers(threads)
+        self._threads = threads or all_threads()
         self._pump: Iterator[av.Packet[Any]] | None = None
         self._times: demux.Times | None = None
         self._packets: deque[av.Packet[Any] | None] = deque()
         self._fresh = True
-        self._index: tuple[demux.Index | None] | None = None
         self._sturdy = count is not None
         with demux.opened(path) as container:
             film = demux.chosen(container, path)
@@ -166,10 +167,9 @@ class Clip(VideoSource):
 
     def time(self, k: int) -> tuple[int, int]:
         """Return the start and the duration of frame `k` in ticks of `base`, once, in order."""
-        kept = self._times.kept if self._times else None
-        if not kept:
-            raise ValueError(f"frame {k} has not been read")
-        found = kept.popleft()
+        assert self._times is not None
+        assert self._times.kept, "the frame has not been read"
+        found = self._times.kept.popleft()
         return (self._starts[k], self._starts[k + 1] - self._starts[k]) if self._starts else found
 
     def packet(self, k: int) -> av.Packet[Any] | None:
@@ -194,30 +194,24 @@ class Clip(VideoSource):
         self._times = times
         counted = demux.is_counted(self.source)
         shown_at: deque[int] = deque()
-        keys: deque[tuple[int | None, int]] = deque(maxlen=64)
         copies = self.copies
         sent: dict[int | None, av.Packet[Any] | None] = {}  # packets in the decoder, by their time
         self._packets.clear()
-        fed_so_far = 0
         found = bad = 0
         self._pump = demux.packets(self.source, [film, *others])
         decoder = self._decoder(film, self._threads)
         for packet in self._film_packets(film.index):
             if packet is not None and counted and packet.dts is not None:
                 shown_at.append(packet.dts)
-            if packet is not None:
-                if packet.is_keyframe:
-                    keys.append((packet.pts, fed_so_far))
-                    if copies and packet.pts is not None and not packet.is_corrupt:
-                        sent[packet.pts] = None if packet.pts in sent else packet  # a time of two packets is ambiguous
-                fed_so_far += 1
+            if copies and packet and packet.pts is not None and packet.is_keyframe and not packet.is_corrupt:
+                sent[packet.pts] = None if packet.pts in sent else packet  # a time of two packets is ambiguous
             decoded = demux.decoded_by(decoder, packet)
             if decoded is None:
                 bad += 1
                 continue
             for frame in decoded:
                 bad += frame.is_corrupt
-                self._check(frame, found, keys)
+                self._check(frame, found)
                 found += 1
                 if found <= self.count:
                     lasts = frame.duration
@@ -238,21 +232,21 @@ class Clip(VideoSource):
             what = f"has {bad} damaged frame{'s' * (bad > 1)}: {how_much}what can be decoded is used"
             warnings.warn(f"{self.name} {what}", ClipWarning, stacklevel=2)
 
+    @cached_property
+    def _index(self) -> demux.Index | None:
+        return None if self.survey.suspect else demux.index_of(self.path, self.count)
+
     def key_before(self, k: int) -> int:
         """Return the key frame from which decoding must begin for frame `k`; 0 if the file has no index."""
-        if self._index is None:
-            self._index = (None if self.survey.suspect else demux.index_of(self.path, self.count),)
-        known = self._index[0]
-        return 0 if known is None else known.before(k)
+        return 0 if self._index is None else self._index.before(k)
 
     def frames_from(self, k: int) -> Iterator[tuple[int, LazyFrame]]:
         """Decode from frame `k` on, beginning at the key frame before it; yield frames with their numbers.
 
         If the frames do not match the index, it decodes from the start.
         """
-        due, key = k, self.key_before(k)
-        known = self._index[0] if self._index is not None and key else None
-        if known is not None:
+        due, key, known = k, self.key_before(k), self._index
+        if key and known is not None:
             for pts, picture in self._sought(known.starts[key]):  # closed when the generator is dropped
                 number = -1 if pts is None else known.numbers.get(pts, -1)
                 if key <= number < due or (pts is not None and pts < known.starts[key]):
@@ -263,7 +257,7 @@ class Clip(VideoSource):
                 due += 1
             if due == self.count:
                 return
-            self._index = (None,)  # the index is wrong
+            self._index = None  # it is wrong
         for number, picture in enumerate(self.frames()):
             if number >= due:
                 yield number, picture
@@ -282,7 +276,7 @@ class Clip(VideoSource):
                 if decoded is None:
                     return
                 for frame in decoded:
-                    self._check(frame, 0, ())
+                    self._check(frame)
                     yield frame.pts, self._lazy(frame)
 
     def _film_packets(self, index: int) -> Iterator[av.Packet[Any] | None]:
@@ -307,16 +301,12 @@ class Clip(VideoSource):
             if packet.stream_index != self.index:
                 yield packet
 
-    def _check(self, frame: av.VideoFrame, k: int, keys: Iterable[tuple[int | None, int]]) -> None:
-        size, kind = (frame.width, frame.height), frame.format.name
-        if size == (self.width, self.height) and kind == self.pixel_format:
-            return
-        # after a change of size, decoders drop delayed frames: their number is known from the packets
-        k = max([k, *(number for pts, number in keys if pts is not None and pts == frame.pts)])
-        now = f"{frame.width}x{frame.height} {kind}"
+    def _check(self, frame: av.VideoFrame, k: int | str = "") -> None:
+        now = f"{frame.width}x{frame.height} {frame.format.name}"
         first = f"{self.width}x{self.height} {self.pixel_format}"
-        what = f"frame {k} is {now}, and frame 0 is {first}"
-        raise unreadable(self.path, what, "cut it where it changes, and warp the parts")
+        if now != first:  # decoders drop delayed frames there: the number is not exact
+            what = f"its frames change at about frame {k}, from {first} to {now}"
+            raise unreadable(self.path, what, "cut it where they do, and warp the parts")
 
     def _lazy(self, frame: av.VideoFrame) -> LazyFrame:
         if frame.format.has_palette:

@@ -7,7 +7,6 @@ import itertools
 import mmap
 import os
 import re
-import stat
 from bisect import bisect_right
 from collections import deque
 from collections.abc import Iterator, Sequence
@@ -19,8 +18,9 @@ from typing import Any
 import av
 from av.format import Flags as FormatFlags
 
+from supple import errors
 from supple.media.codecs import codec_of
-from supple.media.files import PathLike, unreadable
+from supple.media.files import PathLike, head_of, unreadable
 
 _ADVICE = "give a whole video file, such as MP4, MOV, MKV, WebM or AVI"
 _TEXT = frozenset(("ansi", "bintext", "xbin", "idf"))  # text that FFmpeg would decode as a film of a terminal
@@ -34,28 +34,16 @@ _PICTURES = av.stream.Disposition.attached_pic | av.stream.Disposition.timed_thu
 
 def said(error: Exception) -> str:
     """Return the reason in an error of FFmpeg."""
-    text = getattr(error, "strerror", None) or str(error) or type(error).__name__
-    return re.sub(r"\s+", " ", str(text)).strip().rstrip(".").replace("[Errno", "[error")
+    return str(getattr(error, "strerror", None) or errors.said(error)).replace("[Errno", "[error")
 
 
 def opened(path: PathLike) -> av.container.InputContainer:
     """Open a video file; SuppleError if it is missing, empty, no plain file, damaged at its start, or no video."""
-    try:
-        found = os.stat(path)
-    except OSError as error:
-        raise unreadable(path, error.strerror or "no such file", "check the name and its rights") from error
-    except ValueError as error:
-        raise unreadable(path, "no file can have that name", "check it") from error
-    if not stat.S_ISREG(found.st_mode):
-        raise unreadable(path, "it is a folder" if stat.S_ISDIR(found.st_mode) else "it is no plain file", _ADVICE)
-    if not found.st_size:
-        raise unreadable(path, "it is empty", _ADVICE)
+    head_of(path, 1, _ADVICE, _ADVICE)
     try:
         # names with a colon are not addresses: an absolute path never is one
         name, limits = str(Path(path).absolute()), {"protocol_whitelist": "file"}
         container = av.open(name, "r", container_options=limits, metadata_errors="surrogateescape")
-    except (PermissionError, av.error.PermissionError) as error:
-        raise unreadable(path, "there is no right to read it", "check its rights") from error
     except (av.FFmpegError, ValueError, MemoryError) as error:
         what = f"it is no video, or damaged or cut short where it begins ({said(error)})"
         raise unreadable(path, what, _ADVICE) from error

@@ -19,7 +19,7 @@ from supple.media.files import PathLike, check_output, replacing, unwritable
 from supple.media.sequence import Pictures
 from supple.media.video.colour import Colour, filtered, recast, sited
 from supple.media.video.demux import said, usual_step
-from supple.media.video.plan import Match, WritePlan, container_of, open_encoder, workers
+from supple.media.video.plan import WritePlan, container_of, open_encoder
 from supple.media.video.planes import form, pack
 from supple.media.video.source import Stills, VideoSource
 from supple.media.video.streams import Passage, kept_tags, titled
@@ -62,7 +62,7 @@ class Sink:
         self._plan, self._video = plan, video
         self._colour = replace(video.colour, site=sited(video.colour, video.codec, video.form.kind))
         self._times: dict[int, tuple[int, int]] = {}
-        self._written = 0
+
         self.copied = 0  # frames copied as packets of the source
         self._due: dict[int, av.Packet[Any] | None] = {}  # packets in order; None while a frame is encoded
         self._blank = av.VideoFrame(video.width, video.height, plan.match.form.name)  # memory that is used again
@@ -125,11 +125,8 @@ class Sink:
 
     def write(self, arrays: Sequence[Array], k: int, *, still: bool = False) -> None:
         """Encode frames in order, of samples in the clip's layout; or copy the packet of an unchanged one."""
-        if k != self._written:
-            raise ValueError(f"frame {k} comes after {self._written} frames")
         pts, duration = self._video.time(k)
         packet = self._video.packet(k)
-        self._written += 1
         stamp = self._stamp(k, pts, duration)
         if self.copies:
             busy = None in self._due.values()
@@ -154,7 +151,7 @@ class Sink:
             return recast(arrays, video.form, colour, form("bgra") or video.form, Colour(2, matrix=0), shape)
         if chosen.opacity and (arrays[0][..., -1] < video.layout.white).any():
             self._plan.warn("loses opacity")
-            self._plan.match = chosen = Match(chosen.form, chosen.colour, chosen.same, chosen.lost, False)
+            self._plan.match = chosen = replace(chosen, opacity=False)
         if self._plan.depth:
             cut = (1 << video.form.kind.bits - chosen.form.kind.bits) - 1
             if any((each & cut).any() for each in arrays):
@@ -284,13 +281,8 @@ def writer(
     clip: VideoSource | Pictures,
     target: PathLike,
     *,
-    codec: str | None = None,
-    crf: float | None = None,
-    preset: str | None = None,
-    pixel_format: str | None = None,
     force: bool = False,
-    threads: int | None = None,
-    lossless: bool = False,
+    **settings: Any,
 ) -> Iterator[Sink]:
     """Write a clip with new frames and its other contents; or write images as a film.
 
@@ -298,16 +290,12 @@ def writer(
     ``frames``. SuppleError if an option is not supported, or the file cannot be written; a `ClipWarning` if a part of
     the source cannot be kept. Images have their constant rate; their opacity is kept if the codec supports it.
 
-    The suffix of ``target`` chooses MP4, MOV, MKV, WebM, AVI or GIF. ``codec`` names a codec or an encoder, such as
-    ``"h264"``, ``"libx264"``, ``"ffv1"``: by default that of the source, or the default of the container; ``crf`` is
-    its constant rate factor (lower is better), and ``preset`` its preset of speed. ``pixel_format`` is by default that
-    of the source, or the nearest of the codec; lossy codecs write images as YUV, in 4:2:0 if possible, in the limited
-    range of BT.709. With ``lossless``, it is FFV1, unless a lossless codec is named.
+    The suffix of ``target`` chooses MP4, MOV, MKV, WebM, AVI or GIF; ``settings`` are those of `WritePlan`.
     """
     container_of(target)
     check_output(target, force=force)
     video = clip if isinstance(clip, VideoSource) else Stills(clip)
-    plan = WritePlan(video, target, codec, crf, preset, pixel_format, workers(threads), lossless)
+    plan = WritePlan(video, target, **settings)
     with replacing(target, force=force) as temporary:
         sink = None
         try:

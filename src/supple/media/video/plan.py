@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import contextlib
 import math
 import os
 import re
 import warnings
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import lru_cache
@@ -81,80 +81,6 @@ def _held(container: Container) -> set[str]:
     return {name for name in listed if (found := _found(name)) and found.canonical_name not in container.refused}
 
 
-def _named(target: PathLike, container: Container, codec: str | None, source: str, lossless: bool, exact: bool) -> str:
-    """Return an encoder: the user's, or the source's, or the container's default.
-
-    `lossless` is true if the source's codec is lossless, `exact` if the output is to be. SuppleError for an unknown
-    encoder, or if the container does not support its codec.
-    """
-    held, usable = _held(container), _usable(container)
-    if codec is not None:
-        advice = f"use {_exact_in(container) if exact else ', '.join(usable)}"
-        asked = ALIASES.get(codec.lower(), codec.lower())
-        encoder = _found(codec_of(asked).encoder or asked)
-        if encoder is None:
-            raise unwritable(target, f"no video encoder is called {shown(codec)}", advice)
-        if encoder.name not in held:
-            raise unwritable(target, f"{Path(target).suffix} cannot hold {encoder.canonical_name}", advice)
-        return encoder.name
-    if source in usable:
-        return usable[source]
-    own = _found(source)
-    if own is not None and own.name in held and source != "rawvideo" and not own.experimental:
-        return own.name
-    return usable.get(container.keeping if lossless else "") or CODECS[container.usual].encoder
-
-
-def _options(
-    target: PathLike,
-    encoder: Encoder,
-    container: Container,
-    crf: float | None,
-    preset: str | None,
-    workers: int,
-    lossless: bool = False,
-) -> dict[str, str]:
-    """Return the settings of an encoder; SuppleError if it has no such factor or preset, or is not lossless."""
-    name, chosen = encoder.name, {**encoder.options, **container.options}
-    if lossless:
-        chosen |= _exact(target, encoder, container, crf)
-    elif encoder.crf:
-        low, high, usual = encoder.crf
-        quality = usual if crf is None else crf
-        if not low <= quality <= high:
-            raise unwritable(target, f"crf {crf:g} is none of {name}'s", f"choose from {low} (best) to {high}")
-        chosen["crf"] = f"{quality:g}"
-    elif crf is not None:
-        raise unwritable(target, f"{name} has no crf", _without(container, "crf"))
-    if encoder.presets:
-        chosen["preset"] = encoder.preset if preset is None else str(preset)
-        if chosen["preset"] not in encoder.presets:
-            raise unwritable(target, f"{name} has no preset {shown(str(preset))}", f"use {', '.join(encoder.presets)}")
-    elif preset is not None:
-        raise unwritable(target, f"{name} has no presets", _without(container, "presets"))
-    if name == "libsvtav1" and int(chosen["preset"]) >= HASTY and float(chosen.get("crf", 0)) < FINE_CRF:
-        when = "if lossless" if lossless else f"below crf {FINE_CRF}"
-        or_else = "" if lossless else f", or crf {FINE_CRF} or more"
-        what = f"{name} with preset {chosen['preset']} fails {when}"
-        raise unwritable(target, what, f"use preset {HASTY - 1} or less{or_else}")
-    if encoder.threads:
-        chosen[encoder.params] = _joined(chosen.get(encoder.params), encoder.threads.format(workers))
-    return chosen
-
-
-def _exact(target: PathLike, encoder: Encoder, container: Container, crf: float | None) -> dict[str, str]:
-    """Return the options that make an encoder lossless."""
-    if crf is not None:
-        raise unwritable(target, f"crf {crf:g} is for what may lose something", "leave out either it or lossless")
-    if encoder.exact is not None:
-        return dict(encoder.exact)
-    found = _found(encoder.name)
-    if found is None or encoder.name == "gif" or found.lossy or not found.lossless:
-        advice = f"use {_exact_in(container)}, or leave out lossless"
-        raise unwritable(target, f"{encoder.codec} always loses something", advice)
-    return {}
-
-
 def _joined(*parts: str | None) -> str:
     return ":".join(part for part in parts if part)
 
@@ -195,28 +121,38 @@ class Match:
     form: Form  # the encoder's pixel format
     colour: Colour  # the interpretation of its samples
     same: bool  # whether samples are unchanged
-    lost: str  # losses, except opacity
-    opacity: bool  # whether opacity, if any, is lost
+    lost: Sequence[str] = ()  # losses, except opacity
+    opacity: bool = False  # whether opacity, if any, is lost
+    instead: str = ""  # a nearer pixel format, which the encoder does not take at this size
 
 
 class WritePlan:
-    """The settings of a clip's output, all checked; parameters as in `writer`."""
+    """The settings of a clip's output, all checked.
+
+    ``codec`` names a codec or an encoder, such as ``"h264"``, ``"libx264"``, ``"ffv1"``: by default that of the source,
+    or the default of the container; ``crf`` is its constant rate factor (lower is better), and ``preset`` its preset of
+    speed. ``pixel_format`` is by default that of the source, or the nearest of the codec; lossy codecs write images as
+    YUV, in 4:2:0 if possible, in the limited range of BT.709. With ``lossless``, it is FFV1, unless a lossless codec is
+    named. SuppleError if an option is not supported; a `ClipWarning` if a part of the source cannot be kept.
+    """
 
     def __init__(
         self,
         video: VideoSource,
         target: PathLike,
-        codec: str | None,
-        crf: float | None,
-        preset: str | None,
-        pixel_format: str | None,
-        workers: int,
+        *,
+        codec: str | None = None,
+        crf: float | None = None,
+        preset: str | None = None,
+        pixel_format: str | None = None,
+        threads: int | None = None,
         lossless: bool = False,
     ) -> None:
-        self.video, self.target, self.workers, self.lossless = video, target, workers, lossless
+        self.video, self.target, self.lossless = video, target, lossless
+        self.workers = threads or all_threads()
         self.container = container_of(target)
         wanted = (self.container.exact or None) if lossless and codec is None else codec
-        name = _named(target, self.container, wanted, video.codec, video.lossless, lossless)
+        name = self._named(wanted)
         self._use(name, crf, preset)
         self.base = self._base()
         self._asked, self._why = pixel_format, ""
@@ -224,7 +160,7 @@ class WritePlan:
             if pixel_format not in (None, "pal8"):
                 raise unwritable(target, f"gif does not take the pixel format {pixel_format!r}", "use pal8")
             rgba = Form("pal8", Kind("rgb", (1, 1), 8, True, False), (), np.dtype(np.uint8))
-            self.match = Match(rgba, Colour(), False, "", False)
+            self.match = Match(rgba, Colour(), False)
         else:
             try:
                 self.match = self._matched(pixel_format)
@@ -235,10 +171,9 @@ class WritePlan:
                 self._use(other, None, None)
                 self.match = self._matched(None)
                 self._why = f"{video.codec} cannot be written as the source has it"
-        lost = self.match.lost
-        if self.lossless and lost and ", which" not in lost:
+        if self.lossless and self.match.lost:
             advice = "leave out lossless" if self.encoder.name == "ffv1" else "use ffv1 in .mkv, or leave out lossless"
-            raise unwritable(self.target, f"{self.encoder.codec} loses {lost}", advice)
+            raise unwritable(target, f"{self.encoder.codec} loses {' and '.join(self.match.lost)}", advice)
         self._say_codec(codec)
         if video.stills and video.form.kind.real and not self.match.form.kind.real:
             what = f"{self.encoder.codec} cannot hold the floating point of {video.name}"
@@ -260,13 +195,67 @@ class WritePlan:
         only = f"{source} is only read" if own is None or own.name in _held(self.container) else ""
         self.warn(f"is written as {used}: {self._why or only or f'{Path(self.target).suffix} cannot hold {source}'}")
 
+    def _named(self, codec: str | None) -> str:
+        """Return an encoder: the user's, or the source's, or the container's default.
+
+        SuppleError for an unknown encoder, or if the container does not support its codec.
+        """
+        container, source = self.container, self.video.codec
+        held, usable = _held(container), _usable(container)
+        if codec is not None:
+            advice = f"use {_exact_in(container) if self.lossless else ', '.join(usable)}"
+            asked = ALIASES.get(codec.lower(), codec.lower())
+            encoder = _found(codec_of(asked).encoder or asked)
+            if encoder is None:
+                raise unwritable(self.target, f"no video encoder is called {shown(codec)}", advice)
+            if encoder.name not in held:
+                raise unwritable(
+                    self.target, f"{Path(self.target).suffix} cannot hold {encoder.canonical_name}", advice
+                )
+            return encoder.name
+        if source in usable:
+            return usable[source]
+        own = _found(source)
+        if own is not None and own.name in held and source != "rawvideo" and not own.experimental:
+            return own.name
+        return usable.get(container.keeping if self.video.lossless else "") or CODECS[container.usual].encoder
+
     def _use(self, name: str, crf: float | None, preset: str | None) -> None:
-        """Choose an encoder."""
+        """Choose an encoder, and its settings; SuppleError if it has no such factor or preset, or is not lossless."""
         found = av.Codec(name, "w")
-        self.encoder = ENCODERS.get(name) or Encoder(name, found.canonical_name)
-        self.options = _options(self.target, self.encoder, self.container, crf, preset, self.workers, self.lossless)
-        self.fields = self.video.fields if self.encoder.fields else ""  # that are coded as fields
+        self.encoder = encoder = ENCODERS.get(name) or Encoder(name, found.canonical_name)
+        self.fields = self.video.fields if encoder.fields else ""  # that are coded as fields
         self._lossy = (found.lossy or not found.lossless) and not self.lossless
+        container, target = self.container, self.target
+        self.options = chosen = {**encoder.options, **container.options}
+        if self.lossless:
+            if crf is not None:
+                what = f"crf {crf:g} is for what may lose something"
+                raise unwritable(target, what, "leave out either it or lossless")
+            if encoder.exact is None and (name == "gif" or found.lossy or not found.lossless):
+                advice = f"use {_exact_in(container)}, or leave out lossless"
+                raise unwritable(target, f"{encoder.codec} always loses something", advice)
+            chosen |= encoder.exact or {}
+        elif encoder.crf:
+            low, high, usual = encoder.crf
+            quality = usual if crf is None else crf
+            if not low <= quality <= high:
+                raise unwritable(target, f"crf {crf:g} is none of {name}'s", f"choose from {low} (best) to {high}")
+            chosen["crf"] = f"{quality:g}"
+        elif crf is not None:
+            raise unwritable(target, f"{name} has no crf", _without(container, "crf"))
+        if encoder.presets:
+            chosen["preset"] = encoder.preset if preset is None else str(preset)
+            if chosen["preset"] not in encoder.presets:
+                what = f"{name} has no preset {shown(str(preset))}"
+                raise unwritable(target, what, f"use {', '.join(encoder.presets)}")
+        elif preset is not None:
+            raise unwritable(target, f"{name} has no presets", _without(container, "presets"))
+        if name == "libsvtav1" and int(chosen["preset"]) >= HASTY and float(chosen.get("crf", 0)) < FINE_CRF:
+            what = f"{name} with preset {chosen['preset']} fails if lossless, or below crf {FINE_CRF}"
+            raise unwritable(target, what, f"use preset {HASTY - 1} or less")
+        if encoder.threads:
+            chosen[encoder.params] = _joined(chosen.get(encoder.params), encoder.threads.format(self.workers))
 
     def _matched(self, asked: str | None) -> Match:
         """Return the chosen pixel format."""
@@ -280,22 +269,18 @@ class WritePlan:
         if (
             encoder.name == "ffv1"
             and min(size) < _SLICED
-            and not (asked or self.opens(Match(video.form, video.colour, True, "", False)))
+            and not (asked or self.opens(Match(video.form, video.colour, True)))
         ):
             self.options.update({"level": "1", "slices": "1"})  # too small to be cut into slices
         try:
             made = _nearest(self, names, asked, not (video.stills and lossy), told if lossy else Colour())
-            if self.fields and ", which" in made.lost:
-                raise unwritable(self.target, made.lost, "leave out fields")
+            if self.fields and made.instead:
+                raise unwritable(self.target, made.instead, "leave out fields")
         except SuppleError:
             if self.fields:  # which encoders take in some sizes only
                 self.fields = ""
                 return self._matched(asked)
-            if self._starts():
-                raise
-            what = f"{encoder.name} cannot be started here: it needs a device or a driver that is missing"
-            advice = f"use another codec, such as {self.container.usual}"
-            raise unwritable(self.target, what, advice) from None
+            raise
         strange = made.colour.full(made.form) or made.colour.coefficients(video.height) not in (told.matrix, 5)
         if not lossy and made.form.kind.family == "yuv" and told != Colour() and strange:
             self.warn("cannot say what its colours mean, and may look different")
@@ -303,11 +288,12 @@ class WritePlan:
 
     def _warn_of_losses(self) -> None:
         video, lost, self.depth = self.video, self.match.lost, ""  # said when a frame is seen to have such bits
-        if lost and not (video.stills and self._asked):
-            found = _finer(self, self.match, self._formats())
-            advice = f": --pixel-format {found} keeps more" if found and not self._asked else ""
-            text = f"loses {lost}{advice}" if ", which" not in lost else f"is not in {lost}"
-            if lost.startswith("depth") and not video.stills and not video.form.kind.real:
+        if self.match.instead:
+            self.warn(f"is not in {self.match.instead}")
+        elif lost and not (video.stills and self._asked):
+            found = "" if self._asked else self._finer()
+            text = f"loses {' and '.join(lost)}" + (f": --pixel-format {found} keeps more" if found else "")
+            if lost[0].startswith("depth") and not video.stills and not video.form.kind.real:
                 self.depth = text
             else:
                 self.warn(text)
@@ -334,6 +320,18 @@ class WritePlan:
             self.warn(f"cannot say that pixels are {video.aspect} as wide as high: they are left as they are stored")
         if video.matrix and not self.container.rotation:
             self.warn("cannot say which way up it is shown: it is left as it is stored")
+
+    def _finer(self) -> str:
+        """Return a pixel format that keeps more than the chosen one; empty if there is none."""
+        source = self.video.form.kind
+
+        def cost(kind: Kind) -> tuple[bool, int]:
+            return source.alpha and not kind.alpha, len(_losses(source, kind, True))
+
+        named = (name for name in self._formats() if name.startswith(("yuv4", "yuva4", "gbr", "rgb")))
+        better = [each for name in named if (each := form(name)) and cost(each.kind) < cost(self.match.form.kind)]
+        better.sort(key=lambda each: (cost(each.kind), abs(_depth(source) - _depth(each.kind))))
+        return next((each.name for each in better if self.opens(replace(self.match, form=each))), "")
 
     def _says_time(self) -> bool:
         """Return whether the file can hold the timecode: a count of frames, at a whole rate."""
@@ -420,18 +418,6 @@ class WritePlan:
             return [name for name in names if not ((found := form(name)) and found.kind.alpha)]
         return names
 
-    def _starts(self) -> bool:
-        """Return whether the encoder opens at all."""
-        context = av.CodecContext.create(self.encoder.name, "w")
-        assert isinstance(context, av.VideoCodecContext)
-        context.width, context.height, context.time_base = 1280, 720, Fraction(1, 25)
-        for name in _pixel_formats(self.encoder.name) or ["yuv420p"]:
-            context.pix_fmt = name
-            with contextlib.suppress(av.FFmpegError, ValueError):
-                open_encoder(context)
-                return True
-        return False
-
     def opens(self, chosen: Match) -> bool:
         """Return whether the encoder opens with a match."""
         context = av.CodecContext.create(self.encoder.name, "w")
@@ -468,11 +454,6 @@ def timescale(video: VideoSource) -> int:
     return exact if exact <= _TICKS else 90000
 
 
-def workers(threads: int | None) -> int:
-    """Return the number of threads of a codec."""
-    return threads if threads else all_threads()
-
-
 def _nearest(plan: WritePlan, names: list[str], asked: str | None, exact: bool, read_as: Colour) -> Match:
     """Return the pixel format in which an encoder takes a clip: its own, else the nearest with the least loss.
 
@@ -496,12 +477,12 @@ def _nearest(plan: WritePlan, names: list[str], asked: str | None, exact: bool, 
         if plan.opens(made):
             usual = first is not None and (first.same or (not exact and first.opacity == made.opacity))
             if first is not None and not made.lost and usual:
-                made = replace(made, lost=f"{first.form.name}, which {encoder} does not take at {size}")
+                made = replace(made, instead=f"{first.form.name}, which {encoder} does not take at {size}")
             return made
         first = first or made
     advice = "use another pixel format" if asked is not None else "use another codec, such as ffv1 in .mkv"
     what = f" in {asked}" if asked is not None else ""
-    raise unwritable(target, f"{encoder} does not take frames of {size}{what}", advice)
+    raise unwritable(target, f"{encoder} does not take frames of {size}{what}, or cannot start here", advice)
 
 
 def _cost(source: Form, colour: Colour, to: Form) -> tuple[float, ...]:
@@ -523,7 +504,6 @@ def _cost(source: Form, colour: Colour, to: Form) -> tuple[float, ...]:
         float(a.family != b.family),
         -chroma,
         _depth(b) - _depth(a),
-        float(a.real != b.real),
         float(to.name != source.name),
         float(len({place.plane for place in to.places}) != len({place.plane for place in source.places})),
     )
@@ -541,7 +521,7 @@ def _coarser(a: Kind, b: Kind) -> bool:
     return a.family in ("rgb", "yuv") and b.family == "yuv" and (b.step[0] > a.step[0] or b.step[1] > a.step[1])
 
 
-def _losses(a: Kind, b: Kind, exact: bool) -> str:
+def _losses(a: Kind, b: Kind, exact: bool) -> list[str]:
     words = []
     if _colourless(a, b):
         words.append("its colours")
@@ -553,23 +533,7 @@ def _losses(a: Kind, b: Kind, exact: bool) -> str:
         words.append("exact values (to YUV)")
     if _depth(b) < _depth(a):
         words.append(f"depth ({a.bits}{' real' if a.real else ''} to {b.bits} bits)")
-    return " and ".join(words)
-
-
-def _finer(plan: WritePlan, chosen: Match, names: list[str]) -> str:
-    """Return a pixel format that keeps more than the chosen one; empty if there is none."""
-    source = plan.video.form
-
-    def cost(kind: Kind) -> tuple[float, ...]:
-        chroma = kind.step[0] * kind.step[1] if kind.family == "yuv" and _coarser(source.kind, kind) else 1
-        other = source.kind.family == "rgb" != kind.family
-        missing = max(0.0, _depth(source.kind) - _depth(kind))
-        return (source.kind.alpha and not kind.alpha, _colourless(source.kind, kind), chroma, missing, other)
-
-    found = [each for name in names if (each := form(name)) is not None and name.startswith(("yuv", "gbr", "rgb"))]
-    better = [each for each in found if not each.name.startswith("yuvj") and cost(each.kind) < cost(chosen.form.kind)]
-    better.sort(key=lambda each: (cost(each.kind), _depth(each.kind)))
-    return next((each.name for each in better if plan.opens(replace(chosen, form=each))), "")
+    return words
 
 
 def _pictured(kind: Kind, colour: Colour) -> bool:
@@ -601,7 +565,7 @@ def _matched(video: VideoSource, to: Form, exact: bool, told: Colour) -> Match:
             meant = replace(meant, matrix=told.matrix)
             moved = moved or "to another matrix"
     if moved and source.kind.family == "yuv":
-        same, lost = False, lost or f"exact values ({moved})"
+        same, lost = False, lost or [f"exact values ({moved})"]
     return Match(to, meant, same, lost, source.kind.alpha and not to.kind.alpha)
 
 

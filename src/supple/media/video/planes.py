@@ -162,17 +162,21 @@ def _whole(frame: av.VideoFrame, form: Form) -> Array | None:
     return rows[:, : frame.width * count].reshape(frame.height, frame.width, count)
 
 
-def unpack(frame: av.VideoFrame, form: Form, arrays: Sequence[Array]) -> None:
-    """Copy the samples of a frame into arrays, one for each group."""
+def _pairs(frame: av.VideoFrame, form: Form, arrays: Sequence[Array]) -> list[tuple[Array, Array]]:
+    """Return views of a frame's samples, each with the view of the arrays that holds the same."""
     whole = _whole(frame, form)
     if whole is not None and not form.shift:
-        arrays[0][:] = whole
-    else:
-        for view, slot in zip(_views(frame, form), _slots(arrays, form.kind), strict=True):
-            if form.shift:
-                np.right_shift(view, form.shift, out=slot)
-            else:
-                slot[:] = view
+        return [(whole, arrays[0])]
+    return list(zip(_views(frame, form), _slots(arrays, form.kind), strict=True))
+
+
+def unpack(frame: av.VideoFrame, form: Form, arrays: Sequence[Array]) -> None:
+    """Copy the samples of a frame into arrays, one for each group."""
+    for view, slot in _pairs(frame, form, arrays):
+        if form.shift:
+            np.right_shift(view, form.shift, out=slot)
+        else:
+            slot[:] = view
     if form.kind.alpha and len(arrays) > 1:
         arrays[1][..., 2] = _averaged(arrays[0][..., 1], form.kind)
 
@@ -189,13 +193,9 @@ def _averaged(alpha: Array, kind: Kind) -> Array:
 def pack(arrays: Sequence[Array], form: Form, frame: av.VideoFrame) -> av.VideoFrame:
     """Fill a frame, which an encoder may still use, with the samples in arrays, one for each group; return it."""
     frame.make_writable()
-    whole = _whole(frame, form)
-    if whole is not None and not form.shift:
-        whole[:] = arrays[0]
-        return frame
     if len(form.places) < abs(form.places[0].step) and form.kind.step == (1, 1):
         _samples(frame.planes[0], frame.height, form.item)[:] = 0  # the padding beside the components
-    for view, slot in zip(_views(frame, form), _slots(arrays, form.kind), strict=True):
+    for view, slot in _pairs(frame, form, arrays):
         if form.shift:
             np.left_shift(slot, form.shift, out=view)
         else:
