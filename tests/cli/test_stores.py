@@ -62,17 +62,6 @@ def test_a_field_is_saved(run: Run) -> None:
     assert Path("map.nii").is_file()
 
 
-def test_maps_and_parts(run: Run) -> None:
-    store("in.zarr", (40, 48))
-    line = ("--affine", "1,0,3,0,1,2", "--crop", "4,5,20,30", "--filter", "nearest")
-    status, _, err = run("warp", "in.zarr", "out.zarr", *line)
-    assert status == 0, err
-    assert "20 x 30 samples" in err
-    assert np.array_equal(zarr.open("out.zarr")[...], zarr.open("in.zarr")[7:37, 7:27])
-    status, _, err = run("warp", "in.png", "same.png", "--affine", "1,0,3,0,1,2", "--reference", "out.zarr", "--quiet")
-    assert status == 0, err
-
-
 def test_files_become_stores(run: Run) -> None:
     values = np.random.default_rng(1).integers(0, 200, (11, 32, 40)).astype(np.uint8)
     Path("in.raw").write_bytes(values.tobytes())

@@ -14,14 +14,6 @@ from supple.media import image
 from tests.cli.commands import GRAB, Run, noise, one_line
 
 
-def test_it_does_what_the_library_does(run: Run) -> None:
-    status, out, err = run("warp", "in.png", "out.png", *GRAB, "--scales", "2", "--border", "10")
-    assert (status, out, err) == (0, "", "")
-    pixels = image.read("in.png").pixels
-    d = supple.Deformation((40, 48), border=10).grab((20, 16), to=(23, 18), radius=12, scales=2)
-    np.testing.assert_array_equal(image.read("out.png").pixels, d.warp(pixels))
-
-
 @pytest.mark.parametrize(
     ("options", "strokes"),
     [

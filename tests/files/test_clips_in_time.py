@@ -123,7 +123,7 @@ def test_recipes_with_times_are_saved_and_carried_out(run: Run) -> None:
     same_frames("a.mkv", "b.mkv")
     status, out, err = run("info", "r.json")
     assert (status, err) == (0, "")
-    assert "(30, 20, 3) to (33, 22, 8)" in out
+    assert "a drag by (3, 2, 5) at (30, 20, 3) with radius" in out
     refused(run("warp", "in.mkv", "c.mkv", "--recipe", "r.json", *GRAB_2D), "3 numbers")
     assert sorted(os.listdir()) == ["a.mkv", "b.mkv", "in.mkv", "r.json"]
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import math
 import os
 import signal
 import sys
@@ -41,6 +42,7 @@ _NAMES = (
 )
 _OPTIONS = {name: f"--{name.replace('_', '-')}" for name in _NAMES.split()}
 _OPTIONS |= {"supersampling": "--smooth", "layout": "--shape, --dtype and --spacing", "rate": "--fps"}
+_OPTIONS |= {"the freeze mask's width": "--freeze-width", "the matte's width": "--freeze-width", "normal": "--mirror"}
 
 
 def naming(**others: str) -> Spelling:
@@ -87,6 +89,15 @@ class File:
     target: str = ""
     named: bool = False
     warnings: list[str] = field(default_factory=list)
+
+
+def _finite(value: Any) -> Any:
+    """Return a value as JSON holds it: an error that is infinite becomes null."""
+    if isinstance(value, Mapping):
+        return {key: _finite(each) for key, each in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(each) for each in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 _file: ContextVar[File | None] = ContextVar("file", default=None)
@@ -147,7 +158,8 @@ class Console:
 
     def tell(self, facts: Mapping[str, object]) -> None:
         """Write one JSON object, a line, to standard output; the warnings about the file are added."""
-        line = json.dumps({**facts, "warnings": list(dict.fromkeys(self.all.warnings + self.file.warnings))})
+        warned = list(dict.fromkeys(self.all.warnings + self.file.warnings))
+        line = json.dumps(_finite({**facts, "warnings": warned}))
         with self._lock:  # one line at a time, from any thread
             sys.stdout.write(line + "\n")
             sys.stdout.flush()
@@ -248,38 +260,35 @@ def run(command: Callable[[Console], object]) -> int:
         return DONE
     except SomeFailedError as failed:
         return failed.status
-    except SuppleError as error:
-        console.say(error)
-        return REFUSED
-    except KeyboardInterrupt:
-        console.say(f"interrupted: {console.goes_on}" if console.goes_on else "interrupted")
-        return INTERRUPTED
-    except Terminated:
-        console.say(f"terminated: {console.goes_on}" if console.goes_on else "terminated")
-        return TERMINATED
+    except (KeyboardInterrupt, Terminated) as stopped:
+        what, status = ("terminated", TERMINATED) if isinstance(stopped, Terminated) else ("interrupted", INTERRUPTED)
+        console.say(f"{what}: {console.goes_on}" if console.goes_on else what)
+        return status
     except BrokenPipeError:
         _close_output()
         return PIPE_CLOSED
-    except MemoryError:
-        console.say("this takes more memory than there is: cut the picture into parts")
-        return REFUSED
-    except OSError as error:
-        _close_output()
-        console.say(f"the system refuses: {error.strerror or error}")
-        return REFUSED
     except Exception as error:
-        if os.environ.get("SUPPLE_DEBUG") == "1":
+        if isinstance(error, OSError):
+            _close_output()
+        message, status = outcome(error)
+        if status == FAULT and os.environ.get("SUPPLE_DEBUG") == "1":
             raise
-        console.say(fault(error))
-        return FAULT
+        console.say(message)
+        return status
     finally:
         _current.reset(token)
 
 
-def fault(error: BaseException) -> str:
-    """Say that we are to blame."""
+def outcome(error: Exception) -> tuple[str, int]:
+    """Return what is said of an error, and the exit status."""
+    if isinstance(error, SuppleError):
+        return str(error), REFUSED
+    if isinstance(error, MemoryError):
+        return "this takes more memory than there is: cut the picture into parts", REFUSED
+    if isinstance(error, OSError):
+        return f"the system refuses: {error.strerror or error}", REFUSED
     told = f"{type(error).__name__}: {error}".rstrip(": ")
-    return f"a fault of Supple's own ({told}): please report it, with what SUPPLE_DEBUG=1 shows"
+    return f"a fault of Supple's own ({told}): please report it, with what SUPPLE_DEBUG=1 shows", FAULT
 
 
 def _close_output() -> None:
@@ -291,12 +300,10 @@ def _close_output() -> None:
 @contextlib.contextmanager
 def _signals() -> Iterator[None]:
     """End as after an interrupt, with everything cleaned up, when asked to terminate."""
-    names = [name for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
-    if threading.current_thread() is not threading.main_thread():
-        names = []
     before: dict[int, Any] = {}
-    for number in (getattr(signal, name) for name in names):
-        if signal.getsignal(number) == signal.SIG_DFL:  # others, such as nohup, have set their own
+    for name in ("SIGTERM", "SIGHUP") if threading.current_thread() is threading.main_thread() else ():
+        number = getattr(signal, name, None)
+        if number is not None and signal.getsignal(number) == signal.SIG_DFL:  # others, such as nohup, set their own
             before[number] = signal.signal(number, _terminate)
     hook = sys.unraisablehook
     timers: list[threading.Timer] = []
