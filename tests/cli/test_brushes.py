@@ -47,25 +47,15 @@ def test_strokes_keep_the_order_of_the_command_line(run: Run) -> None:
 def test_settings_are_given_once_or_for_each(run: Run) -> None:
     radii = [str(r) for r in (5, 6, 7, 8, 9, 10)]
     options = [x for r in radii for x in ("--radius", r)]
-    found = saved(run, *MIXED, *options, "--scales", "2", "--scales", "3", "--poisson", "0.3")
+    reaches = ("none", "2", "3", "4", "5", "6")
+    more = ("--border-profile", "sine", *(f"--reach={reach}" for reach in reaches))
+    found = saved(run, *MIXED, *options, "--scales", "2", "--scales", "3", "--poisson", "0.3", *more)
     assert [s.radius for s in found.strokes] == [5, 6, 7, 8, 9, 10]
     assert [s.scales for s in found.strokes] == [1, 2, 1, 1, 1, 3]
     assert {s.poisson for s in found.strokes} == {0.3}
+    assert ([s.reach for s in found.strokes], found.border_profile) == ([None, 2, 3, 4, 5, 6], "sine")
     once = saved(run, *MIXED, "--radius", "9", "--scales", "2")
     assert [s.scales for s in once.strokes] == [1, 2, 1, 1, 1, 2]
-
-
-def test_every_command_takes_them(run: Run) -> None:
-    strokes = ("--scale", "20,20:1.4", "--twist", "20,20:90", "--radius", "8")
-    Path("points.csv").write_text("x,y\n20,20\n22,20\n")
-    assert run("points", "points.csv", "moved.csv", "--on", "in.png", *strokes)[0] == 0
-    d = Deformation((40, 48)).scale((20, 20), factor=1.4, radius=8).twist((20, 20), angle=90, radius=8)
-    moved = np.loadtxt("moved.csv", delimiter=",", skiprows=1)
-    np.testing.assert_allclose(moved[:, :2], d.forward([(20, 20), (22, 20)]), atol=1e-4)
-    assert run("plot", "in.png", "grid.png", *strokes)[0] == 0
-    status, out, err = run("plan", "in.png", *strokes, "--json")
-    assert status == 0, err
-    assert json.loads(out)["blocks"] >= 1
 
 
 def test_what_a_recipe_does_in_words(run: Run) -> None:
@@ -92,19 +82,6 @@ def _strokes() -> tuple[Stroke, ...]:
         Stroke(at=at, by=(0, 0, 0), path=((5, 2, 3), (5, 5, 3)), radius=9),
         Stroke(at=at, by=(0, 0, 1), also=(((7, 7, 7), (0, 0, 0)),), radius=9),
     )
-
-
-def test_a_turn_that_folds_is_named(run: Run) -> None:
-    strokes = ("--twist", "24,20:200", "--radius", "4", "--border", "10")
-    status, _, err = run("warp", "in.png", "out.png", *strokes, "--on-fold", "error")
-    assert status == 2
-    said = one_line(err)
-    assert said.startswith("supple: a twist by 200° at (24, 20) with radius 4 folds: at most a twist by ")
-    most = float(said.split("at most a twist by ")[1].split("°")[0])
-    assert 30 < most < 200
-    for angle, status in ((most, 0), (1.01 * most, 2)):
-        strokes = ("--twist", f"24,20:{angle}", "--radius", "4", "--border", "10", "--on-fold", "error")
-        assert run("warp", "in.png", "out.png", *strokes, "--force")[0] == status
 
 
 def test_the_order_is_never_guessed() -> None:

@@ -87,20 +87,6 @@ def test_a_drag_of_what_is_frozen_is_told(run: Run) -> None:
     assert "what is frozen holds it back" in one_line(err)
 
 
-def test_a_mask_goes_with_its_recipe_to_another_size(run: Run) -> None:
-    d = Deformation((40, 48), freeze=disc()).grab((20, 16), to=(25, 18), radius=12)
-    Path("r.json").write_text(d.recipe.to_json())
-    image.write("large.png", noise(80, 96))
-    assert run("warp", "large.png", "out.png", "--recipe", "r.json")[0] == 0
-    source, out = (image.read(name).pixels for name in ("large.png", "out.png"))
-    inner = np.kron(disc(), np.ones((2, 2))).astype(bool)
-    assert (out[inner] == source[inner]).all()
-    image.write("wide.png", noise(40, 90))
-    assert run("warp", "wide.png", "wide-out.png", "--recipe", "r.json", "--fit", "pixels")[0] == 0
-    source, out = (image.read(name).pixels for name in ("wide.png", "wide-out.png"))
-    assert (out[:, :48][disc()] == source[:, :48][disc()]).all()
-
-
 def test_a_mask_of_the_large_picture_is_not_scaled_with_the_recipe(run: Run) -> None:
     Path("r.json").write_text(Deformation((40, 48)).grab((20, 16), to=(25, 18), radius=12).recipe.to_json())
     large, mask = noise(80, 96), np.kron(disc(), np.ones((2, 2))).astype(bool)

@@ -16,7 +16,7 @@ pytest.importorskip("dask")
 
 from supple import Recipe, Stroke  # noqa: E402
 from supple.files.stores import warp_store  # noqa: E402
-from tests.children import full_disk, start  # noqa: E402
+from tests.children import start  # noqa: E402
 from tests.cli.commands import Run, one_line  # noqa: E402
 
 FLAT = ("--grab", "14,12:17,14", "--radius", "5")
@@ -151,12 +151,3 @@ def test_an_interrupt_is_one_line_and_the_same_command_goes_on(here: Path, worke
     out, err = start(*line, "--json").communicate(timeout=300)
     assert json.loads(out)["output"] == "out.zarr", err
     assert sorted(os.listdir()) == ["in.png", "in.zarr", "out.zarr"]
-
-
-def test_a_full_disk_is_one_line(run: Run) -> None:
-    store("in.zarr", (200, 300), 128)
-    with full_disk(4096):
-        status, out, err = run("warp", "in.zarr", "out.zarr", *FLAT, "--reach", "none")
-    assert (status, out) == (2, "")
-    assert "cannot write out.zarr" in one_line(err)
-    assert not os.path.exists("out.zarr")

@@ -56,14 +56,6 @@ def test_folds_are_counted(beside: ModuleType) -> None:
     assert beside.folded(mirrored) == 19 * 29
 
 
-def test_truth_of_the_identity_is_the_average(beside: ModuleType) -> None:
-    q = beside.pixels(60, 80)
-    full = np.stack([np.sin(q[..., 0] / 3), np.cos(q[..., 1] / 4), np.sin(q.sum(axis=-1) / 5)], axis=-1) * 100
-    same = beside.truth(full, [beside.pixels(30, 40)])
-    blocks = full.reshape(30, 2, 40, 2, 3).mean(axis=(1, 3))
-    assert np.abs(same - blocks)[4:-4, 4:-4].max() < 1
-
-
 def test_the_times_of_the_page_divide_to_its_ratios() -> None:
     text = (ROOT / "docs" / "comparison.md").read_text(encoding="utf-8")
     lines = [[cell.strip() for cell in line.strip("|").split("|")] for line in text.splitlines() if line[:1] == "|"]

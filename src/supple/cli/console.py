@@ -150,11 +150,14 @@ class Console:
     def note(self, text: object) -> None:
         """Write a line to standard error, once, unless messages are unwanted."""
         line = one_line(text)
-        with self._lock:
-            fresh = line not in self._said
-            self._said.add(line)
-        if fresh and not self.quiet:
+        if self._is_new(line) and not self.quiet:
             self.say(line)
+
+    def _is_new(self, line: str) -> bool:
+        with self._lock:
+            new = line not in self._said
+            self._said.add(line)
+        return new
 
     def tell(self, facts: Mapping[str, object]) -> None:
         """Write one JSON object, a line, to standard output; the warnings about the file are added."""
@@ -174,29 +177,22 @@ class Console:
         names = tuple(one_line(name) for name in (file.source, file.target) if name)
         if names and not meant and (file.named or self.strict) and not line.startswith(names):
             line = f"{names[0]}: {line}"
-        with self._lock:
-            fresh = line not in self._said
-            self._said.add(line)
-            if line not in file.warnings:
-                file.warnings.append(line)
+        file.warnings.append(line)  # each is told once
         if self.strict and not meant:
             raise SuppleError(f"{line} (--strict: warnings are errors)")
-        if fresh and not self.quiet:
+        if self._is_new(line) and not self.quiet:
             self.say(line if meant else f"warning: {line}")
 
     def started(self, *, quiet: bool, threads: int | None, strict: bool = False, file: str = "") -> None:
         """Take the options that every command has, and the name of the file that it reads."""
         self.quiet, self.strict = quiet, strict
         self.all.source = file
-        if threads is not None:
-            if threads < 1:
-                raise SuppleError(f"--threads must be a number of threads from 1, found {threads}")
-            os.environ["SUPPLE_THREADS"] = os.environ["VIPS_CONCURRENCY"] = str(threads)
-        named = os.environ.get("SUPPLE_THREADS", "")
+        named = os.environ.get("SUPPLE_THREADS", "") if threads is None else str(threads)
         if named and not (named.isascii() and named.isdecimal() and int(named) > 0):
-            raise SuppleError(
-                f"the environment variable SUPPLE_THREADS must be a number of threads from 1, found {named!r}"
-            )
+            option = "the environment variable SUPPLE_THREADS" if threads is None else "--threads"
+            raise SuppleError(f"{option} must be a number of threads from 1, found {named!r}")
+        if threads is not None:
+            os.environ["SUPPLE_THREADS"] = os.environ["VIPS_CONCURRENCY"] = named
 
 
 _current: ContextVar[Console] = ContextVar("console")

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, Annotated
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Group, Parameter
 
@@ -83,7 +83,7 @@ def invert(
         report=report,
         force=options.force,
     )
-    _tell(console, options, made.facts, lambda: _inverted(made))
+    _tell(console, options, made, _inverted)
 
 
 def check(
@@ -127,7 +127,7 @@ def check(
     made = check_file(
         field, inverse, convention=convention, image=source, map=map, picture=picture, plane=plane, force=options.force
     )
-    _tell(console, options, made.facts, lambda: _checked(made))
+    _tell(console, options, made, _checked)
 
 
 def compose(
@@ -156,7 +156,7 @@ def compose(
     from supple.files.fields import compose_files
 
     made = compose_files(parse_maps(maps), out, to=to, reference=reference, force=options.force)
-    _tell(console, options, made.facts, lambda: _written(made))
+    _tell(console, options, made, _written)
 
 
 def convert(
@@ -196,7 +196,7 @@ def convert(
         made = convert_file(
             source_file, target, convention=convention, to=to, image=source, reference=reference, force=options.force
         )
-    _tell(console, options, made.facts, lambda: _written(made))
+    _tell(console, options, made, _written)
 
 
 def parse_maps(words: Sequence[str]) -> list[Input]:
@@ -230,13 +230,11 @@ def parse_maps(words: Sequence[str]) -> list[Input]:
     return made
 
 
-def _tell(
-    console: Console, options: RunOptions, facts: Callable[[], Mapping[str, object]], text: Callable[[], str]
-) -> None:
+def _tell(console: Console, options: RunOptions, made: Any, text: Callable[[Any], str]) -> None:
     if options.json:
-        console.tell(facts())
+        console.tell(made.facts())
     elif not options.quiet:
-        print(text())
+        print(text(made))
 
 
 def _inverted(made: InvertedFile) -> str:

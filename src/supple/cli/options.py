@@ -338,13 +338,12 @@ class TrackOptions:
         self, recipe: "Recipe", own: Sequence[int], paths: Sequence[str], memory: float, frames: Frames
     ) -> "Recipe":
         """Return a recipe of which these strokes, those of the command line, follow the tracks."""
-        loose: tuple[str, ...] = ("track_name", "track_from", "track_first", "track_turn")
-        if self.track is None:
-            loose = ("track_frame", "outside_track", *loose)
-        for name in loose if self.track in (None, "auto") else ():
-            if getattr(self, name) not in (None, (), [], False):
-                what = "a --track, and there is none" if self.track is None else "the --track of a file, not for auto"
-                raise SuppleError(f"--{name.replace('_', '-')} is for {what}: leave it out")
+        given = [name for name, value in vars(self).items() if value not in (None, (), False)]
+        if self.track == "auto":
+            given = [name for name in given if name not in ("track", "track_frame", "outside_track")]
+        if given and self.track in (None, "auto"):
+            what = "a --track, and there is none" if self.track is None else "the --track of a file, not for auto"
+            raise SuppleError(f"--{given[0].replace('_', '-')} is for {what}: leave it out")
         if self.track is None:
             return recipe
         if not own:

@@ -357,13 +357,14 @@ class StrokeOptions:
         from supple.strokes import Recipe, Stroke, last_freeze
 
         found = in_order(arguments, {**self.given, **maps.given})
-        given = self._strokes(found, places, frames, source, reading, maps.coordinates)
+        place = convention_of(str(source), reading) if self.pull else None
+        how = {"convention": maps.coordinates, "place": place, "world": reading.world}
+        given = self._strokes(found, places, frames, how)
         made = Recipe() if self.recipe is None else self._read_recipe(places, frames, world=reading.world)
         self._check(given, made, reading, maps.coordinates is not None and not points)
         spaces, space = [one.space for one in given if one.space is not None], made.space
         if spaces and not made.strokes:
-            known = convention_of(str(source), reading) if reading.world else None
-            space = known if known in ("LPS", "RAS") else spaces[0]  # type: ignore[assignment]
+            space = place if reading.world and place in ("LPS", "RAS") else spaces[0]  # type: ignore[assignment]
         strokes, own, last = list[Stroke](), list[int](), ""
         before, each, mask, placed = made.strokes, iter(given), made.freeze, Maps(reference)
         for option, value in found:
@@ -444,11 +445,9 @@ class StrokeOptions:
         found: Sequence[tuple[str, str]],
         places: "Places",
         frames: Frames | None,
-        source: str | os.PathLike[str],
-        reading: "VolumeOptions",
-        convention: str | None,
+        how: dict[str, Any],
     ) -> "list[_Given]":
-        """Return the strokes of the command line, in order, with their mirror images."""
+        """Return the strokes of the command line, in order, with their mirror images; ``how`` is for `read_pull`."""
         from supple.files.freezing import read_matte
         from supple.strokes import REACH
 
@@ -492,7 +491,7 @@ class StrokeOptions:
             brush = {"radius": size, "poisson": poisson, "reach": reach, "time_radius": time_radius}
             space = None
             if option == "--pull":
-                stroke, space = _pull(value, places, source, reading, convention, brush)
+                stroke, space = _pull(value, places, how, brush)
             else:
                 if option == "--grab":
                     brush["scales"], brush["flat"] = next(grabs)
@@ -541,12 +540,7 @@ class _Given:
 
 
 def _pull(
-    text: str,
-    places: "Places",
-    source: str | os.PathLike[str],
-    reading: "VolumeOptions",
-    convention: str | None,
-    brush: dict[str, Any],
+    text: str, places: "Places", how: dict[str, Any], brush: dict[str, Any]
 ) -> "tuple[Stroke, CoordinateSpace | None]":
     """Read a pull from two files, named with a colon between them."""
     from supple.files.landmarks import read_pull
@@ -559,8 +553,7 @@ def _pull(
     with _prefixed(f"--pull {text}"):
         if (stroke := places.pull(*both[-1], brush)) is not None:
             return stroke, None
-        place = convention_of(str(source), reading)
-        return read_pull(*both[-1], convention=convention, place=place, world=reading.world, **brush)
+        return read_pull(*both[-1], **how, **brush)
 
 
 def _stroke(option: str, text: str, frames: Frames | None, places: "Places", brush: dict[str, Any]) -> "Stroke":
