@@ -204,17 +204,6 @@ def test_a_freeze_stands_where_it_is_given(run: Run) -> None:
     assert (image.read("out.png").pixels[disc()] != source[disc()]).any()
 
 
-@pytest.mark.parametrize(("option", "text", "x"), [("--amount", "150%", 35.5), ("--strength", "-1", 23.0)])
-def test_more_than_all_and_the_opposite(run: Run, option: str, text: str, x: float) -> None:
-    command = ("warp", "in.png", "out.png", "--grab", "28,16:33,18", "--radius", "9", "--json", option, text)
-    status, out, err = run(*command, "--save-recipe", "r.json")
-    assert status == 0, err
-    assert json.loads(out)["arrivals"][0]["arrived"][0] == pytest.approx(x)
-    recipe = Recipe.from_json(Path("r.json").read_text())
-    part = recipe.amount if option == "--amount" else recipe.strokes[0].strength
-    assert (part, recipe.strokes[0].by) == (1.5 if option == "--amount" else -1.0, (5, 2))
-
-
 def test_each_stroke_has_its_strength(run: Run) -> None:
     two = ("--grab", "28,16:33,18", "--grab", "10,30:12,30", "--radius", "5", "--strength", "50%", "--strength=200%")
     assert run("warp", "in.png", "out.png", *two, "--save-recipe", "r.json")[0] == 0

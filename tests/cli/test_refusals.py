@@ -435,6 +435,7 @@ REFUSED: dict[str, list[tuple[str, str]]] = {
         ("warp in.zarr out.png FLAT", "in.zarr … out.png … out.zarr"),
         ("warp in.zarr - FLAT", "standard output"),
         ("warp none.zarr out.zarr FLAT", "none.zarr … no such folder"),
+        ("warp in.png p.zarr FLAT --quality 9", "--quality is not for Zarr stores"),
         ("warp in.zarr out.zarr DEEP", "in.zarr is a picture … two numbers"),
         ("warp memory://none/in.zarr out.zarr FLAT --workers 2", "memory of this process"),
         ("warp in.png out.png FLAT --workers 2", "--workers is for Zarr stores, and in.png is none"),

@@ -62,24 +62,6 @@ def test_a_field_is_saved(run: Run) -> None:
     assert Path("map.nii").is_file()
 
 
-def test_files_become_stores(run: Run) -> None:
-    values = np.random.default_rng(1).integers(0, 200, (11, 32, 40)).astype(np.uint8)
-    Path("in.raw").write_bytes(values.tobytes())
-    layout = ("--shape", "40,32,11", "--dtype", "uint8", "--spacing", "1,1,2")
-    status, _, err = run("warp", "in.raw", "out.zarr", *DEEP, *layout)
-    assert (status, err) == (0, "")
-    assert run("warp", "in.raw", "out.mha", *DEEP, *layout, "--no-clamp")[0] == 0
-    simpleitk = pytest.importorskip("SimpleITK")
-    expected = simpleitk.GetArrayFromImage(simpleitk.ReadImage("out.mha"))
-    assert np.array_equal(zarr.open("out.zarr")["0"][...], expected)
-    assert (expected != values).any()
-    status, out, _ = run("plan", "in.raw", *DEEP, *layout)
-    assert (status, "11 x 32 x 40 uint8" in out) == (0, True)
-    assert "one at a time" in one_line(run("warp", "in.png", "in.raw", "several.zarr", *FLAT)[2])
-    assert "--quality is not for Zarr stores" in one_line(run("warp", "in.png", "p.zarr", *FLAT, "--quality", "9")[2])
-    assert run("warp", "in.png", "p.zarr", "--field", "none.nii", "--quiet")[0] == 2
-
-
 def test_points_are_moved_on_a_store(run: Run) -> None:
     store("in.zarr", (11, 32, 40))
     Path("cells.csv").write_text("i,j,k\n14,12,4\n39,31,10\n")
