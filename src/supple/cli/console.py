@@ -114,13 +114,12 @@ def about(file: File) -> Iterator[None]:
 
 
 class Console:
-    """Where messages go. Line by line to standard error, above a progress bar if there is one."""
+    """Where messages go. Line by line to standard error, which a progress bar leaves to them."""
 
     def __init__(self) -> None:
         self.quiet = self.strict = False
         self.arguments: tuple[str, ...] = ()  # of the command line, in order
         self.all = File()  # warnings without a file, or about a single one
-        self.bar: Any = None
         self.goes_on = ""  # what is left of work that is interrupted, and what to do about it
         self.names: dict[str, str] = {}  # user-visible names of temporary files
         self._said: set[str] = set()
@@ -142,9 +141,7 @@ class Console:
         for path, name in self.names.items():
             line = line.replace(path, name)
         with self._lock, contextlib.suppress(OSError, ValueError):
-            if self.bar is not None:
-                self.bar.console.print(line, markup=False, highlight=False, soft_wrap=True)
-            elif sys.stderr is not None:
+            if sys.stderr is not None:
                 print(line, file=sys.stderr, flush=True)
 
     def note(self, text: object) -> None:

@@ -16,6 +16,7 @@ from typing import NoReturn
 
 from supple.cli.console import FAULT, REFUSED, STREAM, Console, deaf, outcome
 from supple.engine.memory import machine_memory
+from supple.engine.progress import counted
 from supple.errors import SuppleError, listing, shown
 from supple.files.recipes import is_media_name
 from supple.media.image.formats import SUFFIXES as PICTURES
@@ -219,9 +220,10 @@ class Crew:
         status = 0
         pool = ThreadPoolExecutor(self._workers, "supple-file")
         try:
-            with _bar(console, len(jobs)) as advance:
+            with counted(console.terminal, "files") as tell:
+                tell("warp", 0, len(jobs))
                 futures = {pool.submit(self._one, job, do): job for job in jobs}
-                for future in _ended(futures):
+                for done, future in enumerate(_ended(futures), 1):
                     error = future.exception()
                     if error is not None and (not isinstance(error, Exception) or isinstance(error, BrokenPipeError)):
                         raise error  # the reader of the output is gone
@@ -233,7 +235,7 @@ class Crew:
                         status = FAULT if FAULT in (status, blame) else REFUSED
                         console.say(message)
                         failed(futures[future], message)
-                    advance()
+                    tell("warp", done, len(jobs))
         except BaseException:
             with deaf():
                 self._stop()
@@ -291,21 +293,3 @@ def _size(path: Path) -> float:
         return 0.0
     width, height, channels = (float(str(facts[name])) for name in ("width", "height", "channels"))
     return 2.0 * width * height * channels * max(1, int(str(facts["bits"])) // 8)
-
-
-@contextlib.contextmanager
-def _bar(console: Console, total: int) -> Iterator[Callable[[], None]]:
-    if not console.terminal:
-        yield lambda: None
-        return
-    from rich.console import Console as Screen
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
-    columns = TextColumn("supple:"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()
-    with Progress(*columns, console=Screen(stderr=True), redirect_stdout=False) as bar:
-        task = bar.add_task("", total=total)
-        console.bar = bar
-        try:
-            yield lambda: bar.advance(task)
-        finally:
-            console.bar = None
