@@ -270,7 +270,7 @@ class StrokeOptions:
 
     def to_fit(self) -> "Fit | None":
         """How a recipe fits another size; refuse what is said of a recipe where there is none."""
-        found: list[Fit] = [fit for fit in self.fit if fit not in FRAMES]
+        found: list[Fit] = [fit for fit in self.fit if fit not in FRAMES]  # type: ignore[misc]
         if len(found) > 1 or len(self.fit) - len(found) > 1:
             raise SuppleError(f"--fit is given as {' and '.join(self.fit)}: leave one out")
         if found and self.recipe is None:
@@ -470,10 +470,11 @@ class StrokeOptions:
             return places.length(option, text, _LENGTH)
 
         count = len(found)
+        reaches: list[float | None] = _spread("--reach", self.reach, count, _reach, REACH)
         brushes = zip(
             _spread("--radius", self.radius, count, radius, 0.0),
             _spread("--poisson", self.poisson, count, _numbers("a number up to 0.5, or -inf"), None),
-            _spread("--reach", self.reach, count, _reach, REACH),
+            reaches,
             _spread("--time-radius", self.time_radius, count, _numbers("a number of frames above 0"), None),
             _spread("--strength", self.strength, count, _part, 1.0),
             _spread("--matte", self.matte, count, matte, None),
