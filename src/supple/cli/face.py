@@ -5,10 +5,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Group, Parameter
 
-from supple.cli.options import RunOptions, SeveralOptions, options_of, parse_number, read, whole
+from supple.cli.options import RunOptions, SeveralOptions, WritingOptions, options_of, parse_number, read, whole
 from supple.cli.options_maps import Maps
 from supple.cli.options_strokes import Edits, StrokeOptions
-from supple.cli.warp import WRITING, warp
+from supple.cli.warp import warp
 from supple.errors import SuppleError
 
 if TYPE_CHECKING:
@@ -89,9 +89,7 @@ class _Strokes(StrokeOptions):
 def face(
     *paths: Annotated[str, Parameter(name="IN... OUT", required=True)],
     faces: FaceOptions = FaceOptions(),
-    quality: Annotated[int | None, whole("1..100", group=WRITING)] = None,
-    lossless: Annotated[bool, Parameter(group=WRITING)] = False,
-    save_recipe: Annotated[str | None, Parameter(group=WRITING, metavar="FILE")] = None,
+    writing: WritingOptions = WritingOptions(),
     several: SeveralOptions = SeveralOptions(),
     options: RunOptions = RunOptions(),
 ) -> None:
@@ -104,16 +102,7 @@ def face(
     ----------
     paths
         Pictures to read, and last the file or folder to write.
-    quality
-        Quality of JPEG (default that of the input, or 95), WebP and AVIF (90), from 1 to 100.
-    lossless
-        Write WebP and AVIF without loss. PNG and TIFF are always lossless.
-    save_recipe
-        Write the strokes of one picture to a recipe (JSON), for supple warp and the window.
     """
     if len(paths) < 2:
         raise SuppleError("give a picture to read and a name to write to: supple face IN OUT --slim 20 …")
-    warp(
-        *paths, strokes=_Strokes(faces), quality=quality, lossless=lossless, save_recipe=save_recipe,
-        several=several, options=options,
-    )  # fmt: skip
+    warp(*paths, strokes=_Strokes(faces), writing=writing, several=several, options=options)

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from supple.media.timecode import Numbering
     from supple.strokes import Recipe
 
+WRITING = Group("Writing", sort_key=3)
 VIDEO = Group("Videos and image sequences", sort_key=4)
 RUNNING = Group("Running", sort_key=5)
 SEVERAL = Group("Several files", sort_key=6)
@@ -436,6 +437,25 @@ def convention_of(path: str, reading: "Reading") -> str | None:
     elif holds_volumes(path):
         path = os.path.join(path, min(name for name in os.listdir(path) if suffix_of(name) in ONE_FILE))
     return place_of(path, reading)
+
+
+@options_of(WRITING)
+class WritingOptions:
+    """Options of what is written.
+
+    Parameters
+    ----------
+    quality
+        Quality of JPEG (default that of the input, or 95), WebP and AVIF (90), from 1 to 100.
+    lossless
+        Write WebP and AVIF without loss, and videos, by FFV1 or the codec that is named. PNG and TIFF always are.
+    save_recipe
+        Write the strokes to a recipe (JSON), for --recipe of supple warp.
+    """
+
+    quality: Annotated[int | None, whole("1..100")] = None
+    lossless: bool = False
+    save_recipe: Annotated[str | None, Parameter(metavar="FILE")] = None
 
 
 @options_of(SEVERAL)

@@ -6,10 +6,10 @@ from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from cyclopts import Group, Parameter
+from cyclopts import Parameter
 
 from supple.cli.console import told, warn_of_software
-from supple.cli.options import RUNNING, RunOptions, VideoOptions, VolumeArguments, parse_integer, read, text
+from supple.cli.options import RUNNING, WRITING, RunOptions, VideoOptions, VolumeArguments, parse_integer, read, text
 from supple.cli.options_maps import MapOptions, Reference
 from supple.cli.options_strokes import StrokeOptions
 from supple.errors import counting
@@ -17,7 +17,6 @@ from supple.errors import counting
 What = Literal["grid", "stretch", "axes", "residual", "iterations", "slice", "sheet"]
 Device = Literal["auto", "cpu", "gpu"]
 
-WRITING = Group("Writing", sort_key=3)
 _pixel = partial(parse_integer, wanted="a whole number of pixels")
 
 

@@ -9,7 +9,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from cyclopts import Group, Parameter
+from cyclopts import Parameter
 
 from supple.cli.console import (
     STREAM,
@@ -24,6 +24,7 @@ from supple.cli.options import (
     SAMPLING,
     VIDEO,
     VOLUME,
+    WRITING,
     Labels,
     RunOptions,
     SamplingOptions,
@@ -32,6 +33,7 @@ from supple.cli.options import (
     VideoOptions,
     VolumeArguments,
     WorkerOptions,
+    WritingOptions,
     text,
     whole,
 )
@@ -55,8 +57,6 @@ Warper = Literal["auto", "cpu", "cuda"]
 Tell = Callable[[str], None]
 Pair = tuple[Path, Path]
 
-WRITING = Group("Writing", sort_key=3)
-
 
 def warp(
     *paths: Annotated[str, Parameter(name="IN... OUT", required=True)],
@@ -66,11 +66,9 @@ def warp(
     sampling: SamplingOptions = SamplingOptions(),
     linear_light: Annotated[bool, Parameter(group=SAMPLING)] = False,
     clamp: Annotated[bool | None, Parameter(group=SAMPLING, negative="--no-clamp")] = None,
-    quality: Annotated[int | None, whole("1..100", group=WRITING)] = None,
-    lossless: Annotated[bool, Parameter(group=WRITING)] = False,
+    writing: WritingOptions = WritingOptions(),
     compression: Annotated[str | None, Parameter(group=WRITING, metavar="HOW")] = None,
     fast: Annotated[bool, Parameter(group=WRITING)] = False,
-    save_recipe: Annotated[str | None, Parameter(group=WRITING, metavar="FILE")] = None,
     frames: Annotated[str | None, text("A-B", group=VIDEO)] = None,
     frame: Annotated[str | None, text("K", group=VIDEO)] = None,
     hold: Annotated[int, whole(group=VIDEO)] = 0,
@@ -102,17 +100,11 @@ def warp(
     clamp
         Keep values within the range of the input, which cubic filters leave beside sharp edges (default for volumes
         and pictures of floats).
-    quality
-        Quality of JPEG (default that of the input, or 95), WebP and AVIF (90), from 1 to 100.
-    lossless
-        Write WebP and AVIF without loss, and videos with FFV1 or --codec. PNG and TIFF are always lossless.
     compression
         How TIFF and PNG are compressed: none, deflate, lzw or packbits (TIFF), or a level of deflate, 0 to 9. A TIFF
         keeps its own.
     fast
         Write lossless pictures as fast as their format allows; they are larger.
-    save_recipe
-        Write the strokes to a recipe (JSON), for --recipe.
     frames
         Bend frames A to B of a video, and pass on the others as they are. Strokes count in the whole video.
     frame
@@ -128,7 +120,7 @@ def warp(
     device
         Where to compute: cpu (which auto is), or cuda (an NVIDIA GPU, for pictures and volumes).
     """
-    console = options.start(paths[0] if len(paths) == 2 else "")
+    console, save_recipe = options.start(paths[0] if len(paths) == 2 else ""), writing.save_recipe
     from supple.arrays import check_device
     from supple.cli.jobs import Crew, make_folders, pair, piped, summary
     from supple.engine.sampling import FINEST
@@ -171,8 +163,8 @@ def warp(
     elsewhere = bool(elements) or output.onto is not None or recipe.straighten is not None
     known, outside = sampling.to_sampling(elsewhere, linear_light)
     template = Job(
-        paths[0], paths[-1], recipe, known, outside, clamp, quality, lossless, device, options.force, shot,
-        reading, strokes.to_fit(), grid=grid, compression="fast" if fast else compression,
+        paths[0], paths[-1], recipe, known, outside, clamp, writing.quality, writing.lossless, device, options.force,
+        shot, reading, strokes.to_fit(), grid=grid, compression="fast" if fast else compression,
     )  # fmt: skip
     if fast and compression is not None:
         raise SuppleError("--fast is a compression, and so is what --compression names: give one of them")
