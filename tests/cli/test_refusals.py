@@ -308,7 +308,7 @@ REFUSED: dict[str, list[tuple[str, str]]] = {
         ("--save-field there.zarr", "there.zarr exists already … --force"),
         ("--save-field missing/map.zarr", "missing"),
         ("--save-field memory://x/map.zarr --workers 2", "memory of this process"),
-        ("--save-field map.zarr --save-recipe map.zarr", "both the recipe and the field"),
+        ("--save-field map.zarr --save-recipe map.zarr", "a recipe is JSON, and none is written as .zarr"),
         ("--series 2", "--series is not for Zarr stores"),
         ("--world", "--world is for volumes"),
         ("--fill 3", "--outside constant"),
@@ -341,7 +341,7 @@ REFUSED: dict[str, list[tuple[str, str]]] = {
     ],
     "": [
         ("warp in.png x.png GRAB --gpu", "--device gpu is for render and demo"),
-        ("warp in.png x.png GRAB --device gpu", "give cpu, cuda (for an NVIDIA GPU) or auto"),
+        ("warp in.png x.png GRAB --device gpu", 'Choose from: "auto", "cpu", "cuda"'),
         ("plot in.png x.png GRAB --device gpu", "is for warp, render and demo"),
         ("info in.png --device gpu", "is for warp, render and demo"),
         ("warp", "give the files: supple warp IN... OUT --grab"),

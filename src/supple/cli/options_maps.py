@@ -315,7 +315,10 @@ class Maps:
                 )
             other, grid = within.pop(at, ("", held.grid))
             if grid.shape != held.grid.shape:
-                raise SuppleError(f"{told} {other}, which takes what it makes, of {_size(grid)}: give maps of one size")
+                raise SuppleError(
+                    f"{other} is a map of {_size(grid)} pixels, and {shown(entry.text)}, which takes what it makes, of "
+                    f"{_size(held.grid)}: give maps of one size"
+                )
             if not other and 0 < at < most:
                 within[at] = shown(entry.text), held.grid
         for told, grid in within.values():
