@@ -208,9 +208,11 @@ def _advised(error: CycloptsError) -> str:
     if isinstance(error, UnusedCliTokensError):
         return f"more names than this command takes: leave out {', '.join(map(repr, error.unused_tokens or ()))}"
     if isinstance(error, UnknownCommandError):
-        meant, _, _ = meant.partition("?")
+        name = (error.unused_tokens or [""])[0]
+        kind = "option" if name.startswith("-") else "command"
+        meant = f" Did you mean{meant.partition('?')[0]}?" if meant else ""
         known = ", ".join(usage.partition(" ")[0] for _, usage, _ in _COMMANDS)
-        return f"{wrong}{f' Did you mean{meant}?' if meant else ''} The commands are {known}"
+        return f'Unknown {kind} "{name}".{meant} The commands are {known}'
     return wrong if isinstance(error, CoercionError) else text
 
 
