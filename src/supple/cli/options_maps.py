@@ -386,15 +386,17 @@ def describe_grid(facts: dict[str, Any], units: str) -> str:
     return f"{sizes} samples, spacing {steps} {units}, from ({origin.replace(' x ', ', ')})"
 
 
-def say_output(console: "Console", made: "Warped | WarpedStore", target: object, source: object, world: bool) -> None:
-    """Say on what grid a result is written, what its points are, and what is written where a map leads out of it.
+def say_output(
+    console: "Console", made: "Warped | WarpedStore", grid: "Grid | None", target: object, source: object, world: bool
+) -> None:
+    """Say on what grid a result is, if it is given, what its points are, and what lies outside of the input.
 
     The last is said unless it was asked for.
     """
     target, source = shown(str(target)), shown(str(source))
-    if made.grid is not None:
+    if grid is not None:
         units = "mm" if made.geometry is not None and made.geometry.convention != "array" else "pixels"
-        console.note(f"{target} is written on {describe_grid(grid_facts(made.grid), units)}")
+        console.note(f"{target} is written on {describe_grid(grid_facts(grid), units)}")
     if made.background is not None:
         console.note(
             f"what lies outside of {source} is {made.background:g} in {target}: --fill V, or --outside edge, asks for "

@@ -72,7 +72,7 @@ def warp_stored(
         console.note(f"{shown(target)}: {what}, of a job that was interrupted")
     if stored.labels:
         console.note(f"{shown(target)}: the label images {', '.join(stored.labels)} are bent with it")
-    say_output(console, stored, target, source, job.volume.world)
+    say_output(console, stored, stored.grid, target, source, job.volume.world)
     return stored
 
 
