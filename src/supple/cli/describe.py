@@ -290,6 +290,7 @@ def _mask(mask: Freeze | None) -> str | None:
 
 def _stroke(s: Stroke) -> str:
     """Return what a stroke does, in the words of messages, and where it is not the usual."""
+    parts: dict[str, object]
     if s.brush == "freeze":
         parts = {described(s): True, str(_mask(s.matte)): True}
     else:

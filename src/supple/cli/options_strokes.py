@@ -554,7 +554,8 @@ def _pull(
     with _prefixed(f"--pull {text}"):
         if (stroke := places.pull(*both[-1], brush)) is not None:
             return stroke, None
-        return read_pull(*both[-1], **how, **brush)
+        before, after = both[-1]
+        return read_pull(before, after, **how, **brush)
 
 
 def _stroke(option: str, text: str, frames: Frames | None, places: "Places", brush: dict[str, Any]) -> "Stroke":
