@@ -141,16 +141,6 @@ def test_maps_between_pictures_of_another_size(run: Run) -> None:
     assert run("warp", "in.png", "q.png", "--field", "flow.yml", "--resample", "2", "--quiet") == (0, "", "")
 
 
-def test_a_field_that_folds_is_named(run: Run) -> None:
-    values = np.zeros((40, 48, 2), np.float32)
-    values[..., 0] = 6 * np.sin(np.arange(48) / 2)
-    Field.from_array(values).write("folds.yml")
-    line = ("warp", "in.png", "o.png", "--field", "folds.yml", "--grab", "20,16:23,18", "--radius", "12")
-    status, _, err = run(*line)
-    assert status == 0
-    assert "warning: folds.yml folds: " in err
-
-
 def test_what_is_written_is_told(run: Run) -> None:
     pytest.importorskip("zarr")
     _, out, _ = run("convert", "u.nii", "v.zarr")

@@ -240,14 +240,6 @@ def messages(path: Path) -> list[str]:
     return found
 
 
-def test_the_messages_of_the_library_are_found() -> None:
-    found = [text for path in (Path(SOURCE) / "supple").rglob("*.py") for text in messages(path)]
-    assert len(found) > 400
-    assert any("X folds: damped to X of it X" in text for text in found)
-    assert any("exists already: choose another name, or X" in text for text in found)
-    assert "X must be a number of pixels above 0, found X" in found
-
-
 def test_no_message_names_an_argument_by_itself() -> None:
     left = {}
     for path in (Path(SOURCE) / "supple").rglob("*.py"):

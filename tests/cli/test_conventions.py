@@ -15,8 +15,7 @@ import numpy.typing as npt
 import pytest
 from scipy.ndimage import map_coordinates
 
-from supple import Affine, Field, Grid, SuppleError
-from supple.fields import read_maps
+from supple import Field, Grid
 from supple.media import image, volume
 from supple.space.geometry import Geometry
 from tests.cli.commands import Run, one_line
@@ -105,20 +104,6 @@ def test_a_matrix_of_flirt_goes_from_the_reference_to_the_input(run: Run, case: 
     fine &= wanted > -1
     assert fine.any()
     np.testing.assert_allclose(volume.read("back.nii.gz").samples[fine], wanted[fine], atol=0.05)
-
-
-def test_maps_are_read_with_the_grids_that_they_count_in(here: Path) -> None:
-    known = Known(1)
-    (found,) = read_maps("a.mat", source=known.source, reference=known.reference)
-    assert isinstance(found, Affine)
-    np.testing.assert_allclose(found.matrix, known.affine, atol=CLOSE)
-    grids = {"source": known.source, "reference": known.reference}
-    field = Field.read(DATA / "fsl_1_relative.nii.gz", "fsl-relative", **grids)
-    assert field.grid.is_same_space(known.reference)
-    with pytest.raises(SuppleError, match=r"a\.mat holds an affine map, and not one field"):
-        Field.read("a.mat", **grids)
-    with pytest.raises(SuppleError, match=r"the output \(fixed\) image, which is not given: give .* as reference$"):
-        read_maps("a.mat", source=known.source)
 
 
 def test_a_composition_gives_each_file_the_image_that_it_comes_from(run: Run) -> None:

@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import pyvips
 
 import supple
 from supple.files import faces
@@ -138,19 +137,6 @@ def test_a_pull_from_landmarks_to_others(run: Run, portraits: Path) -> None:
         at = [((x + 0.5) * s - 0.5, (y + 0.5) * s - 0.5) for x, y in MARKS.values()]
         by = [(s, -s) if mark == "mouth_left" else (0, 0) for mark in MARKS]
         same(f"out/{name}.png", warped(f"in/{name}.png", supple.Stroke.pull(at, by=by, radius=10 * s)))
-
-
-def test_landmarks_count_in_the_upright_picture(run: Run, portraits: Path) -> None:
-    whole = (
-        pyvips.Image.new_from_array(np.rot90(image.read("in/a.png").pixels).copy()).copy(interpretation="srgb").copy()
-    )
-    whole.set_type(pyvips.GValue.gint_type, "orientation", 6)
-    whole.write_to_file("a.tif")
-    np.testing.assert_array_equal(image.read("a.tif").pixels, image.read("in/a.png").pixels)
-    grab = ("--grab", "nose_tip:nose_tip+3,2", "--radius", "8", "--landmarks", "marks")
-    assert run("warp", "a.tif", "out.png", *grab)[0] == 0
-    assert run("warp", "in/a.png", "plain.png", *grab)[0] == 0
-    same("out.png", image.read("plain.png").pixels)
 
 
 def test_faces_of_many_pictures(run: Run, here: Path) -> None:

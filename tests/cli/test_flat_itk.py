@@ -9,9 +9,7 @@ import numpy.typing as npt
 import pytest
 import SimpleITK as sitk  # noqa: N813
 
-from supple import Deformation, Field, Grid
-from supple.media import image
-from supple.media.transforms import read
+from supple import Field
 from tests.cli.commands import Run
 
 SHAPE = (60, 80)
@@ -95,15 +93,3 @@ def test_fields_as_images(run: Run, suffix: str) -> None:
     assert run("warp", f"out.{suffix}", f"back.{suffix}", *again, *EXACT)[0] == 0
     back = sitk.GetArrayFromImage(sitk.ReadImage(f"back.{suffix}")).squeeze()
     assert np.abs(back - sitk.GetArrayFromImage(moving))[WITHIN].max() < 4  # two linear interpolations
-
-
-def test_in_python_and_on_png(run: Run) -> None:
-    sitk.WriteTransform(transforms(plain=True)["both.h5"], "both.h5")
-    grey = np.clip(sitk.GetArrayFromImage(picture(plain=True)), 0, 255).astype(np.uint8)
-    image.write("in.png", grey, force=True)
-    assert run("warp", "in.png", "out.png", "--field", "both.h5", *EXACT)[0] == 0
-    first, second = read("both.h5")
-    assert not isinstance(first, np.ndarray)
-    assert isinstance(second, np.ndarray)
-    d = Deformation(Grid(SHAPE)).affine(second).field(Field(*first))
-    np.testing.assert_array_equal(image.read("out.png").pixels, d.warp(grey, filter="linear"))

@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-import supple
-from supple.media import image
 from tests.cli.commands import GRAB, Run, one_line
 
 
@@ -25,7 +22,7 @@ def test_info(run: Run) -> None:
     assert (picture["kind"], picture["width"], picture["height"]) == ("image", 48, 40)
     assert (recipe["kind"], recipe["strokes"][0]["radius"]) == ("recipe", 12)
     status, out, err = run("info", "r.json")
-    assert "(20, 16) to (23, 18)" in out
+    assert "a drag by (3, 2) at (20, 16) with radius 12" in out
     status, out, err = run("info", "none.png")
     assert (status, out) == (2, "")
     one_line(err)
@@ -48,34 +45,6 @@ def test_an_empty_folder(run: Run) -> None:
     for name in ("out.nii", "out.nrrd"):
         status, _, err = run("warp", "empty", name, *GRAB)
         assert (status, "there are no DICOM images in that folder" in one_line(err)) == (2, True)
-
-
-@pytest.mark.parametrize("what", ["grid", "stretch"])
-def test_plot(run: Run, what: str) -> None:
-    assert run("plot", "in.png", "plot.png", *GRAB, "--what", what) == (0, "", "")
-    assert image.info("plot.png")["format"] == "PNG"
-    status, _, err = run("plot", "in.png", "plot.png", *GRAB)
-    assert status == 2
-    assert "--force" in one_line(err)
-    status, _, err = run("plot", "in.png", "plot.xyz", *GRAB)
-    assert status == 2
-    assert ".xyz" in one_line(err)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "wanted"),
-    [
-        ([], "warp"),
-        (["--help"], "--radius 100"),
-        (["warp", "--help"], "--save-recipe"),
-        (["plot", "--help"], "--what"),
-        (["--version"], f"supple {supple.__version__}"),
-    ],
-)
-def test_help(run: Run, arguments: Sequence[str], wanted: str) -> None:
-    status, out, err = run(*arguments)
-    assert (status, err) == (0, "")
-    assert wanted in out
 
 
 @pytest.fixture

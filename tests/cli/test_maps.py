@@ -15,9 +15,8 @@ import SimpleITK as sitk  # noqa: N813
 from scipy.ndimage import gaussian_filter
 
 import supple
-from supple import Affine, Deformation, Recipe
+from supple import Affine, Deformation
 from supple.fields import Placed
-from supple.files.renders import RenderOptions, scene_of
 from supple.files.volumes import background_of
 from supple.media import image
 from supple.media import volume as media
@@ -27,7 +26,6 @@ from supple.viewer.panels.layers import Registration
 from supple.viewer.window.options import ViewOptions
 from supple.viewer.window.volumes import placed
 from tests.cli.commands import Run
-from tests.media.landmarks import fcsv
 
 SHAPE = (20, 24, 22)
 PLACE = Geometry((4.0, 4.0, 4.0), (-45.0, -40.0, -30.0), np.eye(3), "LPS")
@@ -63,17 +61,6 @@ def through(transform: sitk.Transform, points: npt.NDArray[np.float64]) -> npt.N
     return np.array([transform.TransformPoint(p) for p in points.tolist()])
 
 
-def test_seeds_go_through_a_registration_as_itk_takes_them(run: Run, composite: sitk.Transform) -> None:
-    theirs = through(composite, SEEDS)
-    on = ("--on", "fixed.nii.gz")
-    for k, options in enumerate((("--field", "composite.h5", "--inverse"), ("--inverse", "--field", "composite.h5"))):
-        status, _, err = run("points", "seeds.csv", f"out{k}.csv", *on, *options)
-        assert status == 0, err
-        np.testing.assert_allclose(read_points(f"out{k}.csv").points, theirs, atol=1e-6)
-    assert run("points", "out0.csv", "back.csv", *on, "--field", "composite.h5")[0] == 0
-    np.testing.assert_allclose(read_points("back.csv").points, SEEDS, atol=1e-6)
-
-
 def test_points_go_where_the_picture_goes(run: Run, composite: sitk.Transform) -> None:
     """Strokes and maps in any order are the map of supple warp; --inverse before them leads back."""
     grid = media.outline_of("fixed.nii.gz").grid
@@ -86,19 +73,6 @@ def test_points_go_where_the_picture_goes(run: Run, composite: sitk.Transform) -
     np.testing.assert_allclose(there, grid.positions(d.forward(grid.indices(SEEDS))), atol=1e-6)
     assert run("points", "there.csv", "back.csv", "--inverse", *options)[0] == 0
     np.testing.assert_allclose(read_points("back.csv").points, SEEDS, atol=1e-6)
-
-
-def test_markups_and_meshes(run: Run, composite: sitk.Transform) -> None:
-    corners = SEEDS.astype(np.float32)
-    lines = [" ".join(map(str, p)) for p in corners.tolist()]
-    Path("mesh.obj").write_text("".join(f"v {line}\n" for line in lines) + "f 1 2 3\n")
-    run_options = ("--on", "fixed.nii.gz", "--field", "composite.h5", "--inverse", "--convention", "lps")
-    status, _, err = run("points", "mesh.obj", "out.obj", *run_options)
-    assert status == 0, err
-    np.testing.assert_allclose(read_points("out.obj", mesh=True).points, through(composite, SEEDS), atol=1e-3)
-    Path("marks.fcsv").write_text(fcsv(SEEDS, "LPS"))
-    assert run("points", "marks.fcsv", "out.fcsv", *run_options[:-2])[0] == 0
-    np.testing.assert_allclose(read_points("out.fcsv").points, through(composite, SEEDS), atol=1e-3)
 
 
 def test_pictures_and_their_points(run: Run) -> None:
@@ -117,23 +91,6 @@ def test_strokes_before_maps_are_not_for_the_window(run: Run, composite: sitk.Tr
         2,
         "supple: in the window, strokes come after fields and affine maps: give these first",
     )
-
-
-def test_renderings_are_of_the_warped_volume(run: Run, composite: sitk.Transform) -> None:
-    volume = media.read("fixed.nii.gz")
-    maps = [Placed(each) for each in reversed(supple.read_maps("composite.h5"))]
-    d = Deformation.from_recipe(Recipe(), volume.grid, maps=maps)
-    seen = d.warp(volume.samples, filter="linear", outside="constant", fill=float(volume.samples.min()))
-    options = RenderOptions(size=(48, 48), density=(0.0, 9.0))
-    wanted = scene_of(media.Volume(seen, volume.geometry), options=options).render(size=(48, 48)).pixels(None)
-    status, _, err = run(
-        "render", "fixed.nii.gz", "out.png", "--field", "composite.h5", "--size", "48x48", "--density", "0,9"
-    )
-    assert status == 0, err
-    made = image.read("out.png").pixels
-    assert np.abs(made.astype(int) - wanted).mean() < 1
-    assert run("render", "fixed.nii.gz", "plain.png", "--size", "48x48", "--density", "0,9")[0] == 0
-    assert np.abs(image.read("plain.png").pixels.astype(int) - wanted).mean() > 5
 
 
 def test_the_window_shows_a_volume_through_its_maps() -> None:

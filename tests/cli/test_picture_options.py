@@ -54,13 +54,6 @@ def test_a_shape_with_colours_is_told(channels: int) -> None:
     assert "colours" not in str(caught.value)
 
 
-@pytest.mark.parametrize("option", [{"samples": 3}, {"between": "cubic"}, {"time_filter": True}])
-def test_what_an_array_does_not_take_is_refused(option: dict[str, object]) -> None:
-    (name,) = option
-    with pytest.raises(supple.SuppleError, match=rf"^{name} must be left out for an"):
-        supple.Deformation((40, 60)).warp(np.zeros((40, 60)), **option)  # type: ignore[arg-type]
-
-
 def test_an_option_of_images_is_refused_before_what_does_not_go_with_it() -> None:
     d, image = supple.Deformation((40, 60)), np.zeros((40, 60))
     with pytest.raises(supple.SuppleError, match=r"^between must be left out for an image"):

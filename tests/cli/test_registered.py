@@ -23,7 +23,6 @@ from tests import fields
 from tests.cli.commands import Run
 from tests.media.landmarks import fcsv, markup, markups
 from tests.media.meshes import made
-from tests.media.meshes.contours import circle, contours, points_of, structures
 
 Floats = npt.NDArray[np.float64]
 FLIP = np.array([-1.0, -1.0, 1.0])
@@ -127,15 +126,6 @@ def test_meshes_follow(run: Run, registered: sitk.Transform, name: str) -> None:
     assert max(json.loads(out)["error"]) < 1e-5
 
 
-def test_contours_follow(run: Run, registered: sitk.Transform) -> None:
-    around = circle(0.0) * (0.2, 0.1, 1) + placed().mean(axis=0)
-    structures(Path("rs.dcm"), around)
-    status, _, err = run("points", "rs.dcm", "out.dcm", "--inverse", *ON, *CHAIN)
-    assert status == 0, err
-    start, end = (points_of(contours(Path(name))[0]) for name in ("rs.dcm", "out.dcm"))
-    np.testing.assert_allclose(end, through(registered, start), rtol=0, atol=1e-5)
-
-
 @pytest.mark.parametrize("convention", ["spm-deformation", "niftyreg"])
 def test_fields_of_spm_and_niftyreg_are_written_and_lead_to_the_same_places(
     run: Run, registered: sitk.Transform, convention: str
@@ -200,17 +190,6 @@ def test_a_rendering_on_the_grid_of_the_fixed_volume(run: Run, registered: sitk.
     ours, theirs = (image.read(name).pixels.astype(int) for name in ("mesh.png", "wanted.png"))
     assert (theirs[..., 1] > 100).sum() > 50
     assert np.abs(ours - theirs).mean() < 1
-
-
-def test_a_matrix_of_flirt_needs_both_images(run: Run, registered: sitk.Transform) -> None:
-    Path("flirt.mat").write_text("1 0 0 2\n0 1 0 -3\n0 0 1 1\n0 0 0 1\n")
-    write("lps.csv", placed())
-    maps = ("--affine", "flirt.mat", "--convention", "fsl-affine")
-    status, _, err = run("points", "in.lps.csv", "out.csv", "--on", "moving.nii.gz", *maps)
-    assert status == 2
-    assert "give it by --reference" in err.splitlines()[-1]
-    assert not Path("out.csv").exists()
-    assert run("points", "in.lps.csv", "out.csv", *ON, *maps)[0] == 0
 
 
 @pytest.mark.parametrize("stretch", [1.0, 1000.0])

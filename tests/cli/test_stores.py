@@ -16,7 +16,7 @@ pytest.importorskip("dask")
 
 from supple import Recipe, Stroke  # noqa: E402
 from supple.files.stores import warp_store  # noqa: E402
-from tests.children import full_disk, start  # noqa: E402
+from tests.children import start  # noqa: E402
 from tests.cli.commands import Run, one_line  # noqa: E402
 
 FLAT = ("--grab", "14,12:17,14", "--radius", "5")
@@ -60,35 +60,6 @@ def test_a_field_is_saved(run: Run) -> None:
     status, out, _ = run(*line[:-3], "--save-field", "map.nii", "--json", "--force")
     assert (status, json.loads(out)["field"]["inverse"]) == (0, None)
     assert Path("map.nii").is_file()
-
-
-def test_maps_and_parts(run: Run) -> None:
-    store("in.zarr", (40, 48))
-    line = ("--affine", "1,0,3,0,1,2", "--crop", "4,5,20,30", "--filter", "nearest")
-    status, _, err = run("warp", "in.zarr", "out.zarr", *line)
-    assert status == 0, err
-    assert "20 x 30 samples" in err
-    assert np.array_equal(zarr.open("out.zarr")[...], zarr.open("in.zarr")[7:37, 7:27])
-    status, _, err = run("warp", "in.png", "same.png", "--affine", "1,0,3,0,1,2", "--reference", "out.zarr", "--quiet")
-    assert status == 0, err
-
-
-def test_files_become_stores(run: Run) -> None:
-    values = np.random.default_rng(1).integers(0, 200, (11, 32, 40)).astype(np.uint8)
-    Path("in.raw").write_bytes(values.tobytes())
-    layout = ("--shape", "40,32,11", "--dtype", "uint8", "--spacing", "1,1,2")
-    status, _, err = run("warp", "in.raw", "out.zarr", *DEEP, *layout)
-    assert (status, err) == (0, "")
-    assert run("warp", "in.raw", "out.mha", *DEEP, *layout, "--no-clamp")[0] == 0
-    simpleitk = pytest.importorskip("SimpleITK")
-    expected = simpleitk.GetArrayFromImage(simpleitk.ReadImage("out.mha"))
-    assert np.array_equal(zarr.open("out.zarr")["0"][...], expected)
-    assert (expected != values).any()
-    status, out, _ = run("plan", "in.raw", *DEEP, *layout)
-    assert (status, "11 x 32 x 40 uint8" in out) == (0, True)
-    assert "one at a time" in one_line(run("warp", "in.png", "in.raw", "several.zarr", *FLAT)[2])
-    assert "--quality is not for Zarr stores" in one_line(run("warp", "in.png", "p.zarr", *FLAT, "--quality", "9")[2])
-    assert run("warp", "in.png", "p.zarr", "--field", "none.nii", "--quiet")[0] == 2
 
 
 def test_points_are_moved_on_a_store(run: Run) -> None:
@@ -147,12 +118,3 @@ def test_an_interrupt_is_one_line_and_the_same_command_goes_on(here: Path, worke
     out, err = start(*line, "--json").communicate(timeout=300)
     assert json.loads(out)["output"] == "out.zarr", err
     assert sorted(os.listdir()) == ["in.png", "in.zarr", "out.zarr"]
-
-
-def test_a_full_disk_is_one_line(run: Run) -> None:
-    store("in.zarr", (200, 300), 128)
-    with full_disk(4096):
-        status, out, err = run("warp", "in.zarr", "out.zarr", *FLAT, "--reach", "none")
-    assert (status, out) == (2, "")
-    assert "cannot write out.zarr" in one_line(err)
-    assert not os.path.exists("out.zarr")

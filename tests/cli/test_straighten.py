@@ -103,7 +103,7 @@ def test_points_go_where_the_picture_shows_them(run: Run, here: Path) -> None:
         (("--rotate", "x"), "--rotate must be a number of degrees, found 'x'"),
         (("--rotate", "1000"), "--rotate must be a number of degrees from -360 to 360"),
         (("--shear", "80"), "--shear must be one number of degrees or two"),
-        (("--shear", "1,x"), "--shear must be one number of degrees or two, found 'x'"),
+        (("--shear", "1,x"), "--shear must be one number of degrees or two, found '1,x'"),
         (("--keystone", "1,2:3,4"), "--keystone must be X,Y:X,Y:X,Y:X,Y"),
         (("--keystone", "42,6:6,4:45,36:3,33"), "--keystone must be four points: top left, top right"),
         (("--keystone", "23,4:25,4:47,39:0,39"), "--keystone must be a frame of less perspective"),

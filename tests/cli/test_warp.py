@@ -14,14 +14,6 @@ from supple.media import image
 from tests.cli.commands import GRAB, Run, noise, one_line
 
 
-def test_it_does_what_the_library_does(run: Run) -> None:
-    status, out, err = run("warp", "in.png", "out.png", *GRAB, "--scales", "2", "--border", "10")
-    assert (status, out, err) == (0, "", "")
-    pixels = image.read("in.png").pixels
-    d = supple.Deformation((40, 48), border=10).grab((20, 16), to=(23, 18), radius=12, scales=2)
-    np.testing.assert_array_equal(image.read("out.png").pixels, d.warp(pixels))
-
-
 @pytest.mark.parametrize(
     ("options", "strokes"),
     [
@@ -42,24 +34,6 @@ def test_what_is_asked_for_is_what_is_saved(run: Run, options: str, strokes: Seq
     recipe = supple.Recipe.from_json(Path("r.json").read_text())
     assert [(s.at, s.by, s.radius, s.poisson, s.scales) for s in recipe.strokes] == strokes
     assert (recipe.border, recipe.on_fold) == ("auto", "flow")
-
-
-def test_reach_and_border_profile_are_saved(run: Run) -> None:
-    grabs = ["--grab", "1,2:3,4", "--grab", "5,6:7,8", "--radius", "9"]
-    for given, reaches in [
-        ([], [4.0, 4.0]),
-        (["--reach", "2"], [2.0, 2.0]),
-        (["--reach", "none", "--reach", "2.5"], [None, 2.5]),
-    ]:
-        made = run("warp", "in.png", "out.png", *grabs, *given, "--save-recipe", "r.json", "--quiet", "--force")
-        assert made[0] == 0
-        recipe = supple.Recipe.from_json(Path("r.json").read_text())
-        assert [s.reach for s in recipe.strokes] == reaches
-        assert recipe.border_profile == "quartic"
-    more = ["--recipe", "r.json", "--border-profile", "sine", "--save-recipe", "s.json", "--quiet", "--force"]
-    assert run("warp", "in.png", "out.png", *more)[0] == 0
-    again = supple.Recipe.from_json(Path("s.json").read_text())
-    assert (again.border_profile, again.strokes) == ("sine", recipe.strokes)
 
 
 def test_grabs_come_after_those_of_a_recipe_and_options_override_it(run: Run) -> None:
@@ -166,17 +140,6 @@ def test_a_recipe_in_millimetres_is_for_volumes(run: Run) -> None:
         assert one_line(err) == (
             "supple: the recipe is in RAS millimetres, and in.png is no volume: give a recipe in pixels\n"
         )
-
-
-@pytest.mark.parametrize("channels", [1, 3, 4])
-@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
-def test_without_force_no_bit_changes(run: Run, channels: int, dtype: type) -> None:
-    pixels = noise(31, 17, channels, dtype)
-    image.write("here.png", pixels)
-    told = "supple: warning: a drag by (0, 0) at (5, 5) with radius 9 moves nothing: "
-    told += "give it another target, or leave it out\n"
-    assert run("warp", "here.png", "there.png", "--grab", "5,5:5,5", "--radius", "9") == (0, "", told)
-    np.testing.assert_array_equal(image.read("there.png").pixels, pixels)
 
 
 @pytest.mark.parametrize("size", [(1, 1), (1, 37), (37, 1), (2, 2)])

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -13,8 +12,6 @@ import numpy.typing as npt
 import pytest
 
 from supple import Affine, Deformation, Field, Grid, SuppleError
-from supple.cli.options_maps import MapOptions
-from supple.cli.options_strokes import StrokeOptions
 from supple.fields import Map
 from supple.files.maps import MapFile
 from supple.media import image
@@ -232,16 +229,6 @@ def test_what_folds_is_told(run: Run, asked: Asked, monkeypatch: pytest.MonkeyPa
     assert status == 0
     status, _, err = run("warp", "in.png", "strict.png", "--field", "folds.npy", "--inverse", "--strict", "--quiet")
     assert (status, Path("strict.png").exists()) == (2, False)
-
-
-def test_the_order_is_never_guessed() -> None:
-    """An option that the parser takes, and the search for the order does not, or the other way round, is refused."""
-    maps: Callable[..., Any] = MapOptions(field=["a.nii"]).to_maps
-    none = StrokeOptions()
-    assert maps(["warp", "in", "out", "--field", "a.nii"], None, none)
-    for arguments in ([], ["--field", "b.nii"], ["--", "--field", "a.nii"], ["--grab", "--field", "a.nii"]):
-        with pytest.raises(SuppleError, match="the place of --field among the options is in doubt"):
-            maps(arguments, None, none)
 
 
 def test_a_stack_of_pages(run: Run, asked: Asked, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -73,23 +73,6 @@ def test_a_line_says_whether_its_bar_is_met(paired: ModuleType, bar: float | Non
     assert json.loads(json.dumps(line.told()))["holds"] == (None if bar is None else bar == 3)
 
 
-def test_rates_have_a_least(paired: ModuleType) -> None:
-    clock = Played()
-    lines = [paired.rate("frames", clock.work("o", t), 118, "frames/s", clock, 15, 5000) for t in (0.0235, 0.03)]
-    assert "| 5021 (5021–5021) frames/s | ≥ 5000 | holds | 15 |" in str(lines[0])
-    assert "| 3933 (3933–3933) frames/s | ≥ 5000 | **missed** | 15 |" in str(lines[1])
-    slow = paired.Spread.of([0.02, 0.04, 0.01]).map(lambda x: 1 / x)
-    assert slow.low < slow.median < slow.high
-    assert paired.missed(lines)
-
-
-def test_what_is_not_there_is_a_line(paired: ModuleType) -> None:
-    line = paired.Line("ours / theirs", bar=0.3, note="theirs is not installed")
-    assert str(line) == "| ours / theirs |  |  |  | ≤ 0.3 | not measured |  | theirs is not installed |"
-    assert not paired.missed([line])
-    assert paired.HEAD.split("\n")[0].count("|") == str(line).count("|")
-
-
 def test_cells_of_a_peer_agree(paired: ModuleType) -> None:
     clock = Played()
     # Ours is slower in turn than alone; the medians of a machine that slows down do not divide to the median ratio.

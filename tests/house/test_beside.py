@@ -56,33 +56,6 @@ def test_folds_are_counted(beside: ModuleType) -> None:
     assert beside.folded(mirrored) == 19 * 29
 
 
-def test_truth_of_the_identity_is_the_average(beside: ModuleType) -> None:
-    q = beside.pixels(60, 80)
-    full = np.stack([np.sin(q[..., 0] / 3), np.cos(q[..., 1] / 4), np.sin(q.sum(axis=-1) / 5)], axis=-1) * 100
-    same = beside.truth(full, [beside.pixels(30, 40)])
-    blocks = full.reshape(30, 2, 40, 2, 3).mean(axis=(1, 3))
-    assert np.abs(same - blocks)[4:-4, 4:-4].max() < 1
-
-
-def test_points_that_stay_are_away_from_strokes(beside: ModuleType) -> None:
-    from beside_tools import pairs
-
-    start, end = pairs((100, 120), [beside.Stroke((50.0, 40.0), (56.0, 44.0), 8.0)])
-    assert start[0].tolist() == [50, 40]
-    assert end[0].tolist() == [56, 44]
-    assert np.array_equal(start[1:], end[1:])
-    assert np.linalg.norm(start[1:] - start[0], axis=1).min() > 20
-    assert {(0, 0), (119, 0), (0, 99), (119, 99)} <= {tuple(point) for point in start[1:].tolist()}
-
-
-def test_supples_map_is_that_of_its_picture(beside: ModuleType) -> None:
-    stroke = beside.Stroke((40.0, 30.0), (46.0, 33.0), 9.0)
-    ours = beside.Supple()
-    q = beside.pixels(64, 80)
-    ramp = np.repeat(np.rint(q[..., :1] * 3), 3, axis=-1).astype(np.uint8)
-    assert np.abs(ours.warp(ramp, [stroke])[..., 0] / 3 - ours.map((64, 80), [stroke])[..., 0]).max() < 0.6
-
-
 def test_the_times_of_the_page_divide_to_its_ratios() -> None:
     text = (ROOT / "docs" / "comparison.md").read_text(encoding="utf-8")
     lines = [[cell.strip() for cell in line.strip("|").split("|")] for line in text.splitlines() if line[:1] == "|"]

@@ -26,11 +26,6 @@ def test_no_violations() -> None:
     assert tally.worst_error <= 1
 
 
-def test_it_stops_in_time() -> None:
-    tally = soak.soak(10**9, seconds=0.0)
-    assert tally.recipes == 0
-
-
 def test_a_recipe_is_known_by_its_seed() -> None:
     first, again = (soak.drawn(np.random.default_rng(42))[0] for _ in range(2))
     assert first.recipe == again.recipe
@@ -75,27 +70,3 @@ def test_wrong_maps_are_found(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Deformation, "inverse_map", lambda d, tolerance: mapped(d, tolerance=tolerance) + np.float32(2))
     wrong = soak.look_at_map(d, np.random.default_rng(1), soak.Tally())
     assert any("was said" in line for line in wrong)
-
-
-@pytest.mark.parametrize(("violations", "status"), [([], 0), (["seed 7: folded"], 1)])
-def test_the_status_tells(
-    violations: list[str], status: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr("sys.argv", ["soak.py", "--points", "5", "--seed", "7"])
-    monkeypatch.setattr(soak, "soak", lambda *_, **__: soak.Tally(points=5, violations=violations))
-    assert soak.main() == status
-    said = capsys.readouterr().out
-    assert ("1 violations" in said) == bool(violations)
-    assert "points" in said
-
-
-def test_errors_are_violations(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    def fail(*_: object) -> None:
-        raise ArithmeticError("no")
-
-    monkeypatch.setattr(soak, "look_at_points", fail)
-    clock = iter(range(100))
-    monkeypatch.setattr("time.monotonic", lambda: next(clock))
-    tally = soak.soak(1, seed=3, seconds=5, show=True)
-    assert tally.violations[0] == "seed 3: ArithmeticError: no"
-    assert "seed 4: ArithmeticError: no" in capsys.readouterr().out

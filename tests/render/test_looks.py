@@ -235,18 +235,21 @@ def test_the_command_does_what_python_does(tmp_path: Path, monkeypatch: pytest.M
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["--projection", "maximum", "--transfer", "grey"], "has no transfer function"),
+        (
+            ["--projection", "maximum", "--transfer", "grey"],
+            "is of all values along a ray, in grey: leave --transfer out",
+        ),
         (["--projection", "most"], "--projection"),
         (["--crop", "1:2,3:4"], "--crop must be X0:X1,Y0:Y1,Z0:Z1 in voxels"),
         (["--crop", "1:900,:,:"], "crop must be within the voxels of the volume"),
-        (["--crop", "4:9,:,:", "--projection", "maximum"], "use clip instead of crop"),
+        (["--crop", "4:9,:,:", "--projection", "maximum"], "leave --crop out"),
         (["--what", "inversions", "--shadows", "1"], "of the volume alone: leave shadows out"),
-        (["--convention", "LPS"], "--convention is of tables of --pull and of meshes"),
+        (["--convention", "LPS"], "--convention of points is of tables of --pull"),
         (["--plane", "1,2,3"], "--plane must be a voxel and a direction, X,Y,Z:DX,DY,DZ, found '1,2,3'"),
         (["--plane", "1,2,3:0,0,0"], "a direction that is not 0,0,0"),
         (["--plane", "1,2:0,0,1"], "--plane must be three numbers"),
         (["--silhouettes", "2"], "silhouettes must be a number from 0 to 1"),
-        (["--silhouettes", "1", "--unshaded"], "silhouettes are of shaded surfaces"),
+        (["--silhouettes", "1", "--unshaded"], "silhouettes and shadows are of shaded surfaces"),
         (["--largest", "--density", "-5,300", "--transfer", "all.json"], "all is visible"),
     ],
 )

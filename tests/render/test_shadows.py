@@ -261,10 +261,13 @@ def test_the_command_does_what_python_does(
         (["--shadows", "2"], "shadows must be a number from 0 to 1"),
         (
             ["--shadows", "1", "--unshaded"],
-            "shadows are of shaded surfaces: leave unshaded and projection out",
+            "silhouettes and shadows are of shaded surfaces: leave unshaded out, or them",
         ),
-        (["--shadows", "1", "--projection", "average"], "shadows are of shaded surfaces"),
-        (["--unshaded", "--projection", "maximum"], "a projection (maximum) has no light: leave unshaded out"),
+        (["--shadows", "1", "--projection", "average"], "a projection (average) is of all values along a ray"),
+        (
+            ["--unshaded", "--projection", "maximum"],
+            "a projection (maximum) is of all values along a ray, in grey: leave unshaded out",
+        ),
     ):
         assert command(["render", "in.nii", "out.png", *words]) != 0
         assert said in capsys.readouterr().err

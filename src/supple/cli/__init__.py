@@ -12,7 +12,16 @@ import textwrap
 from collections.abc import Sequence
 from typing import Any, NoReturn
 
-from cyclopts import App, CycloptsError, Parameter
+from cyclopts import (
+    App,
+    CoercionError,
+    CycloptsError,
+    MissingArgumentError,
+    Parameter,
+    UnknownCommandError,
+    UnknownOptionError,
+    UnusedCliTokensError,
+)
 
 from supple.cli.console import STREAM, current, run
 from supple.errors import SuppleError
@@ -120,9 +129,15 @@ _COMMANDS = (
 )
 
 
-_LEFT_OUT = re.compile(r'Command "(\w+)" parameter (.+) requires an argument')
-_UNUSED = re.compile(r"Unused Tokens: \[(.*)\]")
 _OF_FILES = ("--recipe", "--save-recipe", "--save-field", "--on", "--field", "--affine", "--reference")
+_PYTHON = "Restoring and smoothing are for Python (Deformation.restore) and for the window (supple view)"
+# What to do about options that other commands have, and other ways.
+_ELSEWHERE = {
+    "--gpu": "--device gpu is for render and demo, and info --gpu tells what there is",
+    "--device": "It is for warp, render and demo",
+    "--restore": _PYTHON,
+    "--smooth": _PYTHON,
+}
 
 
 def command(arguments: Sequence[str]) -> int:
@@ -149,7 +164,7 @@ def _dispatch(arguments: Sequence[str]) -> None:
         help_format="plaintext",
         help_formatter=_formatter() if not arguments or {"--help", "-h"} & {*arguments} else None,
         version=_version,
-        default_parameter=Parameter(negative=(), show_default=_unless_false),
+        default_parameter=Parameter(negative=(), show_default=_unless_empty),
         suppress_keyboard_interrupt=False,
         result_action="return_value",
     )
@@ -175,37 +190,30 @@ def _dispatch(arguments: Sequence[str]) -> None:
     except CycloptsError as error:
         if isinstance(error.__cause__, SuppleError):  # of a value, which says all
             raise error.__cause__ from None
-        raise SuppleError(f"{_advised(str(error).strip().rstrip('.'))} (supple --help tells more)") from None
+        raise SuppleError(f"{_advised(error)} (supple --help tells more)") from None
 
 
-def _advised(text: str) -> str:
+def _advised(error: CycloptsError) -> str:
     """Return the text of an option error; where one that only looks alike would be advised, the one that is meant."""
-    wrong, _, _ = text.partition(" Did you mean")
-    if "option: --gpu" in wrong:
-        return f"{wrong} --device gpu is for render and demo, and info --gpu tells what there is"
-    if '"gpu" for --device' in wrong:
-        return "--device gpu is for render and demo: give cpu, cuda (for an NVIDIA GPU) or auto"
-    if '"cuda" for --device' in wrong:
-        return "--device cuda is for warp, of pictures and volumes: give cpu, gpu or auto"
-    if left_out := _LEFT_OUT.fullmatch(wrong):
-        verb, what = left_out.groups()
-        usage = next(usage for _, usage, _ in _COMMANDS if usage.startswith(verb))
-        if not what.startswith("--"):
+    text = str(error).strip().rstrip(".")
+    wrong, _, meant = text.partition(" Did you mean")
+    if isinstance(error, UnknownOptionError):
+        instead = _ELSEWHERE.get((error.token.keyword or error.token.value).partition("=")[0])
+        return text if instead is None else f"{wrong} {instead}"
+    if isinstance(error, MissingArgumentError) and error.argument and error.command_chain:
+        if not error.argument.name.startswith("--"):
+            usage = next(usage for _, usage, _ in _COMMANDS if usage.startswith(error.command_chain[0]))
             return f"give the files: supple {usage}"
-        return f"give {what} FILE" if what in (*_OF_FILES, "--out") else f"{what} needs a value after it"
-    if unused := _UNUSED.fullmatch(wrong):
-        return f"more names than this command takes: leave out {unused[1]}"
-    if wrong.startswith("Unknown command "):
-        kind = "option" if wrong.startswith('Unknown command "-') else "command"
-        meant = re.search(r'Did you mean "[\w-]+"\?', text)
+        return f"give {error.keyword or error.argument.name}, and a value after it"
+    if isinstance(error, UnusedCliTokensError):
+        return f"more names than this command takes: leave out {', '.join(map(repr, error.unused_tokens or ()))}"
+    if isinstance(error, UnknownCommandError):
+        name = (error.unused_tokens or [""])[0]
+        kind = "option" if name.startswith("-") else "command"
+        meant = f" Did you mean{meant.partition('?')[0]}?" if meant else ""
         known = ", ".join(usage.partition(" ")[0] for _, usage, _ in _COMMANDS)
-        name = wrong.split('"')[1]
-        return f'Unknown {kind} "{name}".{f" {meant[0]}" if meant else ""} The commands are {known}'
-    if "option: --restore" in wrong or "option: --smooth" in wrong:
-        return f"{wrong} Restoring and smoothing are for Python (Deformation.restore) and for the window (supple view)"
-    if "option: --device" in wrong:
-        return f"{wrong} It is for warp, render and demo"
-    return text
+        return f'Unknown {kind} "{name}".{meant} The commands are {known}'
+    return wrong if isinstance(error, CoercionError) else text
 
 
 def _broken(examples: str) -> str:
@@ -239,8 +247,8 @@ def _formatter() -> Any:
     return Formatter()
 
 
-def _unless_false(value: object) -> object:
-    return None if value is False else value
+def _unless_empty(value: object) -> object:
+    return None if value is False or value == () else value
 
 
 def _version() -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import math
 import os
 import signal
 import sys
@@ -41,6 +42,7 @@ _NAMES = (
 )
 _OPTIONS = {name: f"--{name.replace('_', '-')}" for name in _NAMES.split()}
 _OPTIONS |= {"supersampling": "--smooth", "layout": "--shape, --dtype and --spacing", "rate": "--fps"}
+_OPTIONS |= {"the freeze mask's width": "--freeze-width", "the matte's width": "--freeze-width", "normal": "--mirror"}
 
 
 def naming(**others: str) -> Spelling:
@@ -89,6 +91,15 @@ class File:
     warnings: list[str] = field(default_factory=list)
 
 
+def _finite(value: Any) -> Any:
+    """Return a value as JSON holds it: an error that is infinite becomes null."""
+    if isinstance(value, Mapping):
+        return {key: _finite(each) for key, each in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(each) for each in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
 _file: ContextVar[File | None] = ContextVar("file", default=None)
 
 
@@ -103,13 +114,12 @@ def about(file: File) -> Iterator[None]:
 
 
 class Console:
-    """Where messages go. Line by line to standard error, above a progress bar if there is one."""
+    """Where messages go. Line by line to standard error, which a progress bar leaves to them."""
 
     def __init__(self) -> None:
         self.quiet = self.strict = False
         self.arguments: tuple[str, ...] = ()  # of the command line, in order
         self.all = File()  # warnings without a file, or about a single one
-        self.bar: Any = None
         self.goes_on = ""  # what is left of work that is interrupted, and what to do about it
         self.names: dict[str, str] = {}  # user-visible names of temporary files
         self._said: set[str] = set()
@@ -131,23 +141,25 @@ class Console:
         for path, name in self.names.items():
             line = line.replace(path, name)
         with self._lock, contextlib.suppress(OSError, ValueError):
-            if self.bar is not None:
-                self.bar.console.print(line, markup=False, highlight=False, soft_wrap=True)
-            elif sys.stderr is not None:
+            if sys.stderr is not None:
                 print(line, file=sys.stderr, flush=True)
 
     def note(self, text: object) -> None:
         """Write a line to standard error, once, unless messages are unwanted."""
         line = one_line(text)
-        with self._lock:
-            fresh = line not in self._said
-            self._said.add(line)
-        if fresh and not self.quiet:
+        if self._is_new(line) and not self.quiet:
             self.say(line)
+
+    def _is_new(self, line: str) -> bool:
+        with self._lock:
+            new = line not in self._said
+            self._said.add(line)
+        return new
 
     def tell(self, facts: Mapping[str, object]) -> None:
         """Write one JSON object, a line, to standard output; the warnings about the file are added."""
-        line = json.dumps({**facts, "warnings": list(dict.fromkeys(self.all.warnings + self.file.warnings))})
+        warned = list(dict.fromkeys(self.all.warnings + self.file.warnings))
+        line = json.dumps(_finite({**facts, "warnings": warned}))
         with self._lock:  # one line at a time, from any thread
             sys.stdout.write(line + "\n")
             sys.stdout.flush()
@@ -162,29 +174,22 @@ class Console:
         names = tuple(one_line(name) for name in (file.source, file.target) if name)
         if names and not meant and (file.named or self.strict) and not line.startswith(names):
             line = f"{names[0]}: {line}"
-        with self._lock:
-            fresh = line not in self._said
-            self._said.add(line)
-            if line not in file.warnings:
-                file.warnings.append(line)
+        file.warnings.append(line)  # each is told once
         if self.strict and not meant:
             raise SuppleError(f"{line} (--strict: warnings are errors)")
-        if fresh and not self.quiet:
+        if self._is_new(line) and not self.quiet:
             self.say(line if meant else f"warning: {line}")
 
     def started(self, *, quiet: bool, threads: int | None, strict: bool = False, file: str = "") -> None:
         """Take the options that every command has, and the name of the file that it reads."""
         self.quiet, self.strict = quiet, strict
         self.all.source = file
-        if threads is not None:
-            if threads < 1:
-                raise SuppleError(f"--threads must be a number of threads from 1, found {threads}")
-            os.environ["SUPPLE_THREADS"] = os.environ["VIPS_CONCURRENCY"] = str(threads)
-        named = os.environ.get("SUPPLE_THREADS", "")
+        named = os.environ.get("SUPPLE_THREADS", "") if threads is None else str(threads)
         if named and not (named.isascii() and named.isdecimal() and int(named) > 0):
-            raise SuppleError(
-                f"the environment variable SUPPLE_THREADS must be a number of threads from 1, found {named!r}"
-            )
+            option = "the environment variable SUPPLE_THREADS" if threads is None else "--threads"
+            raise SuppleError(f"{option} must be a number of threads from 1, found {named!r}")
+        if threads is not None:
+            os.environ["SUPPLE_THREADS"] = os.environ["VIPS_CONCURRENCY"] = named
 
 
 _current: ContextVar[Console] = ContextVar("console")
@@ -248,38 +253,35 @@ def run(command: Callable[[Console], object]) -> int:
         return DONE
     except SomeFailedError as failed:
         return failed.status
-    except SuppleError as error:
-        console.say(error)
-        return REFUSED
-    except KeyboardInterrupt:
-        console.say(f"interrupted: {console.goes_on}" if console.goes_on else "interrupted")
-        return INTERRUPTED
-    except Terminated:
-        console.say(f"terminated: {console.goes_on}" if console.goes_on else "terminated")
-        return TERMINATED
+    except (KeyboardInterrupt, Terminated) as stopped:
+        what, status = ("terminated", TERMINATED) if isinstance(stopped, Terminated) else ("interrupted", INTERRUPTED)
+        console.say(f"{what}: {console.goes_on}" if console.goes_on else what)
+        return status
     except BrokenPipeError:
         _close_output()
         return PIPE_CLOSED
-    except MemoryError:
-        console.say("this takes more memory than there is: cut the picture into parts")
-        return REFUSED
-    except OSError as error:
-        _close_output()
-        console.say(f"the system refuses: {error.strerror or error}")
-        return REFUSED
     except Exception as error:
-        if os.environ.get("SUPPLE_DEBUG") == "1":
+        if isinstance(error, OSError):
+            _close_output()
+        message, status = outcome(error)
+        if status == FAULT and os.environ.get("SUPPLE_DEBUG") == "1":
             raise
-        console.say(fault(error))
-        return FAULT
+        console.say(message)
+        return status
     finally:
         _current.reset(token)
 
 
-def fault(error: BaseException) -> str:
-    """Say that we are to blame."""
+def outcome(error: Exception) -> tuple[str, int]:
+    """Return what is said of an error, and the exit status."""
+    if isinstance(error, SuppleError):
+        return str(error), REFUSED
+    if isinstance(error, MemoryError):
+        return "this takes more memory than there is: cut the picture into parts", REFUSED
+    if isinstance(error, OSError):
+        return f"the system refuses: {error.strerror or error}", REFUSED
     told = f"{type(error).__name__}: {error}".rstrip(": ")
-    return f"a fault of Supple's own ({told}): please report it, with what SUPPLE_DEBUG=1 shows"
+    return f"a fault of Supple's own ({told}): please report it, with what SUPPLE_DEBUG=1 shows", FAULT
 
 
 def _close_output() -> None:
@@ -291,12 +293,10 @@ def _close_output() -> None:
 @contextlib.contextmanager
 def _signals() -> Iterator[None]:
     """End as after an interrupt, with everything cleaned up, when asked to terminate."""
-    names = [name for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
-    if threading.current_thread() is not threading.main_thread():
-        names = []
     before: dict[int, Any] = {}
-    for number in (getattr(signal, name) for name in names):
-        if signal.getsignal(number) == signal.SIG_DFL:  # others, such as nohup, have set their own
+    for name in ("SIGTERM", "SIGHUP") if threading.current_thread() is threading.main_thread() else ():
+        number = getattr(signal, name, None)
+        if number is not None and signal.getsignal(number) == signal.SIG_DFL:  # others, such as nohup, set their own
             before[number] = signal.signal(number, _terminate)
     hook = sys.unraisablehook
     timers: list[threading.Timer] = []

@@ -6,16 +6,18 @@ import contextlib
 import json
 import math
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from supple.errors import SuppleError, shown
 from supple.files.clips import displayed
+from supple.folding.resolved import described, spelled
 from supple.media.numbering import is_sequence
 from supple.media.suffixes import CLIPS
 from supple.media.timecode import Numbering
+from supple.space.freezing import Freeze
 from supple.strokes import Recipe, Stroke, spoken
 
 if TYPE_CHECKING:
@@ -130,7 +132,7 @@ def _stored(name: str) -> tuple[dict[str, Any], str]:
         shards = f", in shards of {' x '.join(map(str, level['shards']))}" if level["shards"] else ""
         sizes, chunks = (" x ".join(map(str, level[key])) for key in ("shape", "chunks"))
         lines[f"level {k}"] = f"{sizes}, in chunks of {chunks}{shards}"
-    return facts, _listed(name, lines)
+    return facts, listed(name, lines)
 
 
 def _field(name: str) -> dict[str, Any]:
@@ -170,12 +172,10 @@ def _picture(name: str, facts: Mapping[str, Any]) -> str:
         "depth": depth,
         "profile": facts["profile"] or "none",
         "bytes": f"{facts['bytes']:,}",
+        "orientation": None if facts["orientation"] == 1 else f"{facts['orientation']}, applied when it is read",
+        "pages": None if facts["pages"] == 1 else facts["pages"],
     }
-    if facts["orientation"] != 1:
-        lines["orientation"] = f"{facts['orientation']}, applied when it is read"
-    if facts["pages"] != 1:
-        lines["pages"] = str(facts["pages"])
-    return _listed(name, lines)
+    return listed(name, lines)
 
 
 def _video(name: str, facts: Mapping[str, Any]) -> str:
@@ -183,32 +183,24 @@ def _video(name: str, facts: Mapping[str, Any]) -> str:
     exact = f" ({rate})" if rate.denominator > 1 else ""
     tags = [f"{tag} {facts[tag]}" for tag in ("range", *_TAGS, "siting") if facts[tag] != "unknown"]
     vary = ", at a variable rate" if facts["variable"] else ""
+    first, last, plays = facts["timecode"], facts["last_timecode"], facts["plays"]
+    code = first or last
     lines = {
         "format": f"{facts['container']}, {facts['codec']}",
         "size": f"{facts['width']} x {facts['height']}",
         "frames": f"{facts['frames']}, {float(rate):.6g} a second{exact}{vary}, {facts['duration']:.3f} s",
         "pixels": f"{facts['pixel_format']}, {facts['bits']} bit{', with opacity' if facts['alpha'] else ''}",
         "colours": ", ".join(tags) or "not said",
+        "display": f"{how} when it is played" if how else None,
+        "aspect": None if facts["aspect"] == 1 else f"pixels are {facts['aspect']} as wide as high",
+        "fields": f"interlaced, {facts['fields']} field first" if facts["interlaced"] else None,
+        "timecode": f"{first or 'none: counted from 00:00:00:00'}{f' to {last}' if last else ''}" if code else None,
+        "plays": None if plays is None else f"{plays} times" if plays > 1 else "once" if plays else "for ever",
+        **{key: ", ".join(facts[key]) or None for key in ("audio", "subtitles", "other")},
+        "chapters": facts["chapters"] or None,
+        "damage": "it breaks off: what can be decoded of it is used" if facts["damaged"] else None,
     }
-    if how:
-        lines["display"] = f"{how} when it is played"
-    if facts["aspect"] != 1:
-        lines["aspect"] = f"pixels are {facts['aspect']} as wide as high"
-    if facts["interlaced"]:
-        lines["fields"] = f"interlaced, {facts['fields']} field first"
-    if facts["timecode"] or facts["last_timecode"]:
-        last = f" to {facts['last_timecode']}" if facts["last_timecode"] else ""
-        lines["timecode"] = f"{facts['timecode'] or 'none: counted from 00:00:00:00'}{last}"
-    if facts["plays"] is not None:
-        lines["plays"] = f"{facts['plays']} times" if facts["plays"] > 1 else "once" if facts["plays"] else "for ever"
-    for key in ("audio", "subtitles", "other"):
-        if facts[key]:
-            lines[key] = ", ".join(facts[key])
-    if facts["chapters"]:
-        lines["chapters"] = str(facts["chapters"])
-    if facts["damaged"]:
-        lines["damage"] = "it breaks off: what can be decoded of it is used"
-    return _listed(name, lines)
+    return listed(name, lines)
 
 
 def _volume(name: str, facts: Mapping[str, Any]) -> str:
@@ -217,7 +209,7 @@ def _volume(name: str, facts: Mapping[str, Any]) -> str:
             f"series {one['number']}": f"{one['slices']} slices, {one['description'] or 'no description'}, {one['uid']}"
             for one in facts["series"]
         }
-        return _listed(name, {"format": "DICOM, several series: choose by --series", **lines})
+        return listed(name, {"format": "DICOM, several series: choose by --series", **lines})
 
     def spoken(numbers: Any) -> str:
         return ", ".join(f"{x:.6g}" for x in numbers)
@@ -247,7 +239,7 @@ def _volume(name: str, facts: Mapping[str, Any]) -> str:
         lines["gaps"] = f"{facts['nan']} voxels are not a number"
     if facts["interval"] is not None:
         lines["interval"] = f"{facts['interval']:g} s"
-    return _listed(name, lines)
+    return listed(name, lines)
 
 
 def _sequence(name: str, facts: Mapping[str, Any]) -> str:
@@ -258,83 +250,72 @@ def _sequence(name: str, facts: Mapping[str, Any]) -> str:
         "channels": f"{facts['channels']}{', the last is opacity' if facts['alpha'] else ''}",
         "depth": facts["dtype"],
     }
-    return _listed(name, lines)
+    return listed(name, lines)
 
 
-def _listed(name: str, lines: Mapping[str, object]) -> str:
-    return "\n".join([f"{shown(name)}:", *(f"  {key:<12}{value}" for key, value in lines.items())])
+def listed(name: str, lines: Mapping[str, object]) -> str:
+    """Return facts for people, a line each; those that are None are left out."""
+    told = (f"  {key:<12}{value}" for key, value in lines.items() if value is not None)
+    return "\n".join([f"{shown(name)}:", *told])
 
 
 def _recipe(name: str, recipe: Recipe) -> str:
     widths = recipe.border if isinstance(recipe.border, tuple) else (recipe.border,)
-    if recipe.border is None:
-        border = "free"
-    elif recipe.border == "auto":
-        border = f"fixed, a tenth of each side wide, {recipe.border_profile}"
+    border = "a tenth of each side" if recipe.border == "auto" else ", ".join(f"{width:g}" for width in widths if width)
+    how = recipe.straighten
+    straighten = None
+    if how is not None:
+        done = [f"turn {how.rotate:g}\u00b0"] if how.rotate else []
+        done += ["shear {:g}\u00b0, {:g}\u00b0".format(*how.shear)] if any(how.shear) else []
+        done += ["keystone " + " ".join(",".join(f"{v:g}" for v in p) for p in how.keystone)] if how.keystone else []
+        done += ["size " + " x ".join(map(str, how.scale_to))] if how.scale_to else []
+        straighten = "; ".join([*done, how.fit])
+    lines = {
+        "format": "recipe",
+        "made for": "any size" if recipe.size is None else spoken(recipe.size),
+        "points": f"millimetres in {recipe.space}" if recipe.is_world else recipe.space or "not said: pixels, usually",
+        "border": "free" if recipe.border is None else f"fixed, {border} wide, {recipe.border_profile}",
+        "on fold": recipe.on_fold,
+        "amount": f"{100 * recipe.amount:g}%",
+        "freeze": _mask(recipe.freeze),
+        "straighten": straighten,
+        "a frame": None if recipe.time_scale is None else f"is worth {recipe.time_scale:g} pixels",
+    }
+    return listed(name, lines | {f"stroke {i + 1}": _stroke(stroke) for i, stroke in enumerate(recipe.strokes)})
+
+
+def _mask(mask: Freeze | None) -> str | None:
+    return None if mask is None else f"{100 * mask.share:.0f}% of {spoken(mask.samples)}"
+
+
+def _stroke(s: Stroke) -> str:
+    """Return what a stroke does, in the words of messages, and where it is not the usual."""
+    parts: dict[str, object]
+    if s.brush == "freeze":
+        parts = {described(s): True, str(_mask(s.matte)): True}
     else:
-        border = f"fixed, {', '.join(f'{width:g}' for width in widths)} wide, {recipe.border_profile}"
-    points = f"millimetres in {recipe.space}" if recipe.is_world else recipe.space or "not said: pixels, usually"
-    lines = [f"{shown(name)}:", "  recipe"]
-    lines += [f"  made for    {'any size' if recipe.size is None else spoken(recipe.size)}", f"  points      {points}"]
-    lines += [f"  border      {border}", f"  on fold     {recipe.on_fold}", f"  amount      {100 * recipe.amount:g}%"]
-    if recipe.freeze is not None:
-        lines.append(f"  freeze      {100 * recipe.freeze.share:.0f}% of {spoken(recipe.freeze.samples)}")
-    if (how := recipe.straighten) is not None:
-        what = {
-            f"turn {how.rotate:g}\u00b0": how.rotate,
-            "shear {:g}\u00b0, {:g}\u00b0".format(*how.shear): any(how.shear),
+        parts = {
+            described(s): True,
+            f"through {len(s.path)} points": s.path,
+            f"reach {'none' if s.reach is None else format(s.reach, 'g')}": True,
+            f"{s.time_radius or 0:g} frames in time": s.time_radius is not None,
+            "as long in time as in space": s.isotropic,
+            f"scales {s.scales}": s.brush == "grab",
+            f"flat {s.flat:g}": s.flat,
+            f"axis {spelled(s.axis or ())}": s.axis is not None,
+            f"poisson {s.poisson or 0:g}": s.poisson is not None,
+            f"strength {100 * s.strength:g}%": s.strength != 1,
+            _motion(s): s.keys,
+            f"named {shown(s.name or '')}": s.name is not None and not s.also,
         }
-        what["keystone " + " ".join(",".join(f"{v:g}" for v in p) for p in how.keystone)] = bool(how.keystone)
-        what["size " + " x ".join(map(str, how.scale_to))] = bool(how.scale_to)
-        lines.append(f"  straighten  {'; '.join([*(name for name, given in what.items() if given), how.fit])}")
-    if recipe.time_scale is not None:
-        lines.append(f"  a frame     is worth {recipe.time_scale:g} pixels")
-    for i, s in enumerate(recipe.strokes):
-        kind = f"radius {s.radius:g}, reach {'none' if s.reach is None else format(s.reach, 'g')}"
-        kind += "" if s.time_radius is None else f", {s.time_radius:g} frames in time"
-        kind += ", as long in time as in space" if s.isotropic else ""
-        kind += f", scales {s.scales}" if s.brush == "grab" else ""
-        kind += f", flat {s.flat:g}" if s.flat else ""
-        kind += ("" if s.poisson is None else f", poisson {s.poisson:g}") + (", hidden" if s.hidden else "")
-        kind += "" if s.strength == 1 else f", strength {100 * s.strength:g}%"
-        kind += f", {_motion(s)}" if s.keys else ""
-        kind += "" if s.name is None else f", named {shown(s.name)}"
-        if s.brush == "freeze" and s.matte is not None:
-            kind = f"{100 * s.matte.share:.0f}% of {spoken(s.matte.samples)}" + (", hidden" if s.hidden else "")
-        lines.append(f"  stroke {i + 1:<5}{_action(s)}, {kind}")
-    return "\n".join(lines)
+    return ", ".join([*(text for text, said in parts.items() if said), *["hidden"] * s.hidden])
 
 
 def _motion(stroke: Stroke) -> str:
     """Return over which frames a stroke moves, turns and grows, or changes its strength."""
-
-    def spanned(frames: list[int]) -> str:
-        return (
-            f"in frames {frames[0]} to {frames[-1]}, {len(frames)} keys" if len(frames) > 1 else f"from {frames[0]} on"
-        )
-
     told = []
     for what, names in (("moving", ["at"]), ("turning", ["angle", "scale"]), ("changing its strength", ["strength"])):
         if frames := [key.frame for key in stroke.keys if any(getattr(key, name) is not None for name in names)]:
-            told.append(f"{what} {spanned(frames)}")
+            several = f"in frames {frames[0]} to {frames[-1]}, {len(frames)} keys"
+            told.append(f"{what} {several if len(frames) > 1 else f'from {frames[0]} on'}")
     return ", ".join(told)
-
-
-def _action(stroke: Stroke) -> str:
-    """Return what a stroke does, and where."""
-
-    def told(point: Sequence[float]) -> str:
-        return "(" + ", ".join(f"{x:g}" for x in point) + ")"
-
-    if stroke.brush == "grab":
-        ends = [(told(p), told([a + b for a, b in zip(p, by, strict=True)]), any(by)) for p, by in stroke.handles]
-        way = f" through {len(stroke.path)} points" if stroke.path else ""
-        return "grab " + ", ".join(
-            f"{start}{way} to {end}" if moved or way else f"{start} pinned" for start, end, moved in ends
-        )
-    if stroke.brush == "freeze":
-        return f"freeze {told(stroke.at)}"
-    axis = "" if stroke.axis is None else told([round(x / math.hypot(*stroke.axis), 4) + 0.0 for x in stroke.axis])
-    amount = f"{stroke.angle:g}°" if stroke.brush == "twist" else f"{stroke.factor:g}"
-    along = {"twist": "about", "pinch": "along"}.get(stroke.brush, "")
-    return f"{stroke.brush} {told(stroke.at)} by {amount}" + (f" {along} {axis}" if axis else "")

@@ -1,22 +1,20 @@
 """The command that adjusts faces."""
 
-from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Group, Parameter
 
-from supple.cli.options import RunOptions, parse_number, read, whole
-from supple.cli.options_strokes import StrokeOptions
-from supple.cli.warp import SEVERAL, WRITING, warp
+from supple.cli.options import RunOptions, SeveralOptions, WritingOptions, options_of, parse_number, read, whole
+from supple.cli.options_maps import Maps
+from supple.cli.options_strokes import Edits, StrokeOptions
+from supple.cli.warp import warp
 from supple.errors import SuppleError
 
 if TYPE_CHECKING:
     from supple.files.places import Places
-    from supple.strokes import Recipe
 
 FACES = Group("Faces", sort_key=1)
-_RUN = RunOptions()
 _WANTED = "percent from -100 to 100"
 
 
@@ -30,8 +28,7 @@ def _percent(option: str, text: str) -> float:
 _PERCENT = partial(read, _percent, "PERCENT", show_default=False)
 
 
-@Parameter(name="*", group=FACES)
-@dataclass(kw_only=True, eq=False, repr=False)
+@options_of(FACES)
 class FaceOptions:
     """How faces are adjusted.
 
@@ -71,7 +68,7 @@ class _Strokes(StrokeOptions):
         super().__init__(landmarks=options.landmarks)
         self._options = options
 
-    def strokes_in(self, places: "Places", **_: Any) -> "Recipe":
+    def edits_in(self, places: "Places", *_: Any, **__: Any) -> Edits:
         from supple.files.faces import ADJUSTMENTS, face_stroke
         from supple.strokes import Recipe, Stroke
 
@@ -82,26 +79,19 @@ class _Strokes(StrokeOptions):
             raise SuppleError(f"--face must be the number of a face, 1 for the largest, found {face}")
         places.used = True
         if places.medium is None:
-            return Recipe(strokes=(Stroke.grab((0, 0), by=(1, 1), radius=1),))
+            return Edits(Recipe(strokes=(Stroke.grab((0, 0), by=(1, 1), radius=1),)), Maps(), relative=True)
         faces, grid = places.chosen(self._options.face), places.medium.grid
         assert grid is not None
         strokes = [face_stroke(face, place=place, size=grid.sizes, **percents) for place, face in faces]
-        return Recipe(strokes=tuple(strokes))
-
-
-_FACES = FaceOptions()
+        return Edits(Recipe(strokes=tuple(strokes)), Maps(), relative=True)
 
 
 def face(
     *paths: Annotated[str, Parameter(name="IN... OUT", required=True)],
-    faces: FaceOptions = _FACES,
-    quality: Annotated[int | None, whole("1..100", group=WRITING)] = None,
-    lossless: Annotated[bool, Parameter(group=WRITING)] = False,
-    save_recipe: Annotated[str | None, Parameter(group=WRITING, metavar="FILE")] = None,
-    recursive: Annotated[bool, Parameter(group=SEVERAL)] = False,
-    skip_existing: Annotated[bool, Parameter(group=SEVERAL)] = False,
-    jobs: Annotated[int | None, whole(group=SEVERAL)] = None,
-    options: RunOptions = _RUN,
+    faces: FaceOptions = FaceOptions(),
+    writing: WritingOptions = WritingOptions(),
+    several: SeveralOptions = SeveralOptions(),
+    options: RunOptions = RunOptions(),
 ) -> None:
     """Adjust the faces of pictures: slimmer, larger eyes, a smile, a narrower nose.
 
@@ -112,22 +102,7 @@ def face(
     ----------
     paths
         Pictures to read, and last the file or folder to write.
-    quality
-        Quality of JPEG (default that of the input, or 95), WebP and AVIF (90), from 1 to 100.
-    lossless
-        Write WebP and AVIF without loss. PNG and TIFF are always lossless.
-    save_recipe
-        Write the strokes of one picture to a recipe (JSON), for supple warp and the window.
-    recursive
-        Also enter the folders within a folder; what is written has the same folders.
-    skip_existing
-        Leave files that are there already as they are, and go on with the others.
-    jobs
-        How many pictures are worked on at the same time (as many as there are processors, and memory for).
     """
     if len(paths) < 2:
         raise SuppleError("give a picture to read and a name to write to: supple face IN OUT --slim 20 …")
-    warp(
-        *paths, strokes=_Strokes(faces), quality=quality, lossless=lossless, save_recipe=save_recipe,
-        recursive=recursive, skip_existing=skip_existing, jobs=jobs, options=options,
-    )  # fmt: skip
+    warp(*paths, strokes=_Strokes(faces), writing=writing, several=several, options=options)

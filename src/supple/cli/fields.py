@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, Annotated
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Group, Parameter
 
-from supple.cli.console import Console, current, naming
+from supple.cli.console import Console, naming
 from supple.cli.options import RunOptions, number
 from supple.errors import SuppleError, shown, spelling
 
@@ -20,7 +20,6 @@ if TYPE_CHECKING:
 MAPS = Group("Maps", sort_key=1)
 WRITING = Group("Writing", sort_key=3)
 
-_RUN = RunOptions()
 Name = Annotated[str | None, Parameter(group=MAPS, metavar="NAME")]
 Image = Annotated[str | None, Parameter(group=MAPS, metavar="FILE")]
 Output = Annotated[str | None, Parameter(group=WRITING, metavar="FILE")]
@@ -39,7 +38,7 @@ def invert(
     error: Output = None,
     status: Output = None,
     report: Output = None,
-    options: RunOptions = _RUN,
+    options: RunOptions = RunOptions(),
 ) -> None:
     """Invert a displacement field, and say how well.
 
@@ -68,7 +67,7 @@ def invert(
     report
         Also write the figures to a JSON file.
     """
-    console = _started(options, field)
+    console = options.start(field)
     from supple.files.fields import invert_file
 
     made = invert_file(
@@ -84,7 +83,7 @@ def invert(
         report=report,
         force=options.force,
     )
-    _tell(console, options, made.facts, lambda: _inverted(made))
+    _tell(console, options, made, _inverted)
 
 
 def check(
@@ -97,7 +96,7 @@ def check(
     map: Output = None,
     picture: Output = None,
     plane: Annotated[str | None, Parameter(group=WRITING, metavar="PLANE[:MM]")] = None,
-    options: RunOptions = _RUN,
+    options: RunOptions = RunOptions(),
 ) -> None:
     """Check a displacement field: displacement, folds, and how well another one undoes it.
 
@@ -122,13 +121,13 @@ def check(
         The slice of the picture, of a volume: axial, coronal or sagittal, perhaps at a place in millimetres in LPS, as
         in axial:12.5 (default: the axial one with most folds).
     """
-    console = _started(options, field)
+    console = options.start(field)
     from supple.files.fields import check_file
 
     made = check_file(
         field, inverse, convention=convention, image=source, map=map, picture=picture, plane=plane, force=options.force
     )
-    _tell(console, options, made.facts, lambda: _checked(made))
+    _tell(console, options, made, _checked)
 
 
 def compose(
@@ -136,7 +135,7 @@ def compose(
     out: Annotated[str, Parameter(group=WRITING, metavar="FILE")],
     to: Name = None,
     reference: Image = None,
-    options: RunOptions = _RUN,
+    options: RunOptions = RunOptions(),
 ) -> None:
     """Make one displacement field of several maps, one after the other.
 
@@ -153,11 +152,11 @@ def compose(
     reference
         Image or field whose grid the result gets (default: the grid of the first field).
     """
-    console = _started(options, "")
+    console = options.start()
     from supple.files.fields import compose_files
 
     made = compose_files(parse_maps(maps), out, to=to, reference=reference, force=options.force)
-    _tell(console, options, made.facts, lambda: _written(made))
+    _tell(console, options, made, _written)
 
 
 def convert(
@@ -169,7 +168,7 @@ def convert(
     to: Name = None,
     source: Image = None,
     reference: Image = None,
-    options: RunOptions = _RUN,
+    options: RunOptions = RunOptions(),
 ) -> None:
     """Convert a field or an affine map from one convention to another.
 
@@ -190,14 +189,14 @@ def convert(
         The output (fixed) image: maps are sampled on its grid as one field, unless it is one affine map that OUT holds
         as such.
     """
-    console = _started(options, source_file)
+    console = options.start(source_file)
     from supple.files.fields import convert_file
 
     with spelling(naming(convention="--from")):
         made = convert_file(
             source_file, target, convention=convention, to=to, image=source, reference=reference, force=options.force
         )
-    _tell(console, options, made.facts, lambda: _written(made))
+    _tell(console, options, made, _written)
 
 
 def parse_maps(words: Sequence[str]) -> list[Input]:
@@ -231,19 +230,11 @@ def parse_maps(words: Sequence[str]) -> list[Input]:
     return made
 
 
-def _started(options: RunOptions, file: str) -> Console:
-    console = current()
-    console.started(**options.asked(), file=file)
-    return console
-
-
-def _tell(
-    console: Console, options: RunOptions, facts: Callable[[], Mapping[str, object]], text: Callable[[], str]
-) -> None:
+def _tell(console: Console, options: RunOptions, made: Any, text: Callable[[Any], str]) -> None:
     if options.json:
-        console.tell(facts())
+        console.tell(made.facts())
     elif not options.quiet:
-        print(text())
+        print(text(made))
 
 
 def _inverted(made: InvertedFile) -> str:

@@ -10,14 +10,12 @@ from supple.cli.console import REFUSED, STREAM, File, SomeFailedError, about, cu
 from supple.cli.options import VolumeArguments
 from supple.errors import SuppleError
 
-_VOLUME = VolumeArguments()
-
 
 def info(
     *files: Annotated[str, Parameter(name="FILE")],
-    gpu: Annotated[bool, Parameter(negative=())] = False,
-    json: Annotated[bool, Parameter(negative=())] = False,
-    volume: VolumeArguments = _VOLUME,
+    gpu: bool = False,
+    json: bool = False,
+    volume: VolumeArguments = VolumeArguments(),
 ) -> None:
     """Describe pictures, videos, volumes, Zarr stores and recipes, or list the GPUs.
 

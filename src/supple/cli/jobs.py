@@ -12,18 +12,20 @@ import threading
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from pathlib import Path
+from typing import NoReturn
 
-from supple.cli.console import FAULT, REFUSED, STREAM, Console, deaf, fault
+from supple.cli.console import FAULT, REFUSED, STREAM, Console, deaf, outcome
 from supple.engine.memory import machine_memory
+from supple.engine.progress import counted
 from supple.errors import SuppleError, listing, shown
-from supple.files.recipes import check_recipe_name, is_media_name
-from supple.media.files import check_output
+from supple.files.recipes import is_media_name
 from supple.media.image.formats import SUFFIXES as PICTURES
 from supple.media.medium import ONE_FILE
 from supple.media.suffixes import CLIPS, suffix_of
 
 Job = tuple[Path, Path]
 PathLike = str | os.PathLike[str]
+_KNOWN = PICTURES | CLIPS | ONE_FILE
 
 
 def pair(given: Sequence[str], target: str, *, recursive: bool = False) -> tuple[list[Job], bool, list[Path]]:
@@ -41,13 +43,13 @@ def pair(given: Sequence[str], target: str, *, recursive: bool = False) -> tuple
         path = Path(name)
         if os.path.isdir(name):
             several = True
-            inside, folders = _pictures_in(path)
-            while recursive and folders:
-                within = folders.pop(0)
-                if os.path.realpath(within) != os.path.realpath(target):  # of an earlier run
-                    more, deeper = _pictures_in(within)
-                    inside, folders = inside + more, deeper + folders
-            left += folders
+            inside = list[Path]()
+            for folder, names, files in os.walk(name, onerror=_unreadable, followlinks=True):
+                inside += [Path(folder, file) for file in sorted(files) if file[0] != "." and suffix_of(file) in _KNOWN]
+                below = [Path(folder, each) for each in sorted(names) if each[0] != "."]
+                left += [] if recursive else below
+                earlier = os.path.realpath(target)  # of an earlier run
+                names[:] = [each.name for each in below if recursive and os.path.realpath(each) != earlier]
             if not inside:
                 told = f"the folder {shown(name)} holds no pictures or DICOM slices"
                 raise SuppleError(f"{told}: give another, or their names")
@@ -65,13 +67,10 @@ def pair(given: Sequence[str], target: str, *, recursive: bool = False) -> tuple
             found.append((path, Path(path.name)))
     if not several and not os.path.isdir(target) and not target.endswith(("/", os.sep)):
         return [(found[0][0], Path(target))], False, []
-    if not target:
-        raise SuppleError("several pictures need a folder to go into: name one, last")
     if is_media_name(target) and not os.path.isdir(target):
-        stem = target[: -len(suffix_of(target))]
         raise SuppleError(
             f"{shown(target)} is the name of one file, and several, a folder or a pattern become a folder: name one, "
-            f"such as {shown('bent' if '%' in stem else stem)}/"
+            "such as bent/"
         )
     if STREAM in (*given, target):
         raise SuppleError("- stands for one file on standard input or output: give one to read, and one to write")
@@ -89,28 +88,8 @@ def pair(given: Sequence[str], target: str, *, recursive: bool = False) -> tuple
     return list(dict.fromkeys(jobs)), True, left
 
 
-def check_several(many: bool, force: bool, *, recursive: bool, skip_existing: bool, jobs: int | None) -> None:
-    """Refuse options for several files where there is one, or that contradict each other."""
-    given = {"--recursive": recursive, "--skip-existing": skip_existing, "--jobs": jobs is not None}
-    loose = next((option for option, on in given.items() if on), None)
-    if loose is not None and not many:
-        raise SuppleError(f"{loose} is for several files, a folder or a pattern, which become a folder: leave it out")
-    if skip_existing and force:
-        raise SuppleError("--force replaces what --skip-existing leaves as it is: give one of them")
-    if jobs is not None and jobs < 1:
-        raise SuppleError(f"--jobs must be a number of pictures from 1 on, found {jobs}")
-
-
-def _pictures_in(folder: Path) -> tuple[list[Path], list[Path]]:
-    """Return the files of a folder that can be warped, and the folders in it."""
-    try:
-        names = sorted(os.listdir(folder))
-    except OSError as error:
-        raise SuppleError(f"cannot read the folder {shown(folder)}: {error.strerror}: check its rights") from error
-    seen = [folder / name for name in names if not name.startswith(".")]
-    known = PICTURES | CLIPS | ONE_FILE
-    files = [path for path in seen if suffix_of(path) in known and os.path.isfile(path)]
-    return files, [path for path in seen if os.path.isdir(path)]
+def _unreadable(error: OSError) -> NoReturn:
+    raise SuppleError(f"cannot read the folder {shown(error.filename)}: {error.strerror}: check its rights") from error
 
 
 def summary(jobs: Sequence[Job], failed: Collection[Path], there: int, target: str, left: Sequence[Path]) -> str:
@@ -203,14 +182,6 @@ def _suffix_like(source: Path) -> str:
     raise SuppleError(f"cannot write standard output: {found} is not written: name a file, out.png for instance")
 
 
-def check_recipe_file(name: str, jobs: Sequence[Job], force: bool) -> None:
-    """Refuse a name for the recipe that cannot be written, or is that of a picture."""
-    path = check_output(name, force=force)
-    if any(path == Path(os.path.realpath(picture)) for job in jobs for picture in job):
-        raise SuppleError(f"{shown(name)} cannot be both the picture and the recipe: give it another name")
-    check_recipe_name(name, force=force)
-
-
 def _fixed_part(pattern: str) -> Path:
     parts = []
     for part in Path(pattern).parts[:-1]:
@@ -249,18 +220,22 @@ class Crew:
         status = 0
         pool = ThreadPoolExecutor(self._workers, "supple-file")
         try:
-            with _bar(console, len(jobs)) as advance:
+            with counted(console.terminal, "files") as tell:
+                tell("warp", 0, len(jobs))
                 futures = {pool.submit(self._one, job, do): job for job in jobs}
-                for future in _ended(futures):
-                    message, blame = _outcome(future)
-                    if message:
+                for done, future in enumerate(_ended(futures), 1):
+                    error = future.exception()
+                    if error is not None and (not isinstance(error, Exception) or isinstance(error, BrokenPipeError)):
+                        raise error  # the reader of the output is gone
+                    if error is not None:
+                        message, blame = outcome(error)
                         source, target = map(shown, futures[future])
                         if source not in message and target not in message:
                             message = f"{source}: {message}"
                         status = FAULT if FAULT in (status, blame) else REFUSED
                         console.say(message)
                         failed(futures[future], message)
-                    advance()
+                    tell("warp", done, len(jobs))
         except BaseException:
             with deaf():
                 self._stop()
@@ -308,22 +283,6 @@ def _ended(futures: Iterable[Future[None]]) -> Iterator[Future[None]]:
         yield from ended
 
 
-def _outcome(future: Future[None]) -> tuple[str, int]:
-    try:
-        future.result()
-    except SuppleError as error:
-        return str(error), REFUSED
-    except MemoryError:
-        return "this takes more memory than there is: cut the picture into parts", REFUSED
-    except BrokenPipeError:  # the reader of the output is gone
-        raise
-    except OSError as error:
-        return f"the system refuses: {error.strerror or error}", REFUSED
-    except Exception as error:
-        return fault(error), FAULT
-    return "", 0
-
-
 def _size(path: Path) -> float:
     """Estimate the memory that a picture takes, twice its pixels; what cannot be read takes none."""
     from supple.media.image import info
@@ -334,21 +293,3 @@ def _size(path: Path) -> float:
         return 0.0
     width, height, channels = (float(str(facts[name])) for name in ("width", "height", "channels"))
     return 2.0 * width * height * channels * max(1, int(str(facts["bits"])) // 8)
-
-
-@contextlib.contextmanager
-def _bar(console: Console, total: int) -> Iterator[Callable[[], None]]:
-    if not console.terminal:
-        yield lambda: None
-        return
-    from rich.console import Console as Screen
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
-    columns = TextColumn("supple:"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()
-    with Progress(*columns, console=Screen(stderr=True), redirect_stdout=False) as bar:
-        task = bar.add_task("", total=total)
-        console.bar = bar
-        try:
-            yield lambda: bar.advance(task)
-        finally:
-            console.bar = None

@@ -7,11 +7,11 @@ import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar, dataclass_transform
 
 from cyclopts import Group, Parameter, Token
 
-from supple.cli.console import STREAM, current
+from supple.cli.console import STREAM, Console, current
 from supple.errors import SuppleError, counting
 
 if TYPE_CHECKING:
@@ -24,8 +24,10 @@ if TYPE_CHECKING:
     from supple.media.timecode import Numbering
     from supple.strokes import Recipe
 
+WRITING = Group("Writing", sort_key=3)
 VIDEO = Group("Videos and image sequences", sort_key=4)
 RUNNING = Group("Running", sort_key=5)
+SEVERAL = Group("Several files", sort_key=6)
 SAMPLING = Group("Sampling", sort_key=2)
 STORES = Group("Zarr stores", sort_key=4.5)
 VOLUME = Group("Volumes", sort_key=5)
@@ -33,12 +35,40 @@ COORDINATES = {"lps": "LPS", "ras": "RAS", "index": "index"}
 """The names of coordinates of points, by how they are spelt in lower case."""
 
 
+Options = TypeVar("Options")
+Texts = tuple[str, ...]
+"""The values of an option that may be given several times."""
+
+
+@dataclass_transform(kw_only_default=True)
+def options_of(group: Group | None = None) -> "Callable[[type[Options]], type[Options]]":
+    """Return a decorator of options that several commands have, in a group of their help."""
+
+    def options(kind: "type[Options]") -> "type[Options]":
+        return Parameter(name="*", group=group)(dataclass(kw_only=True, eq=False, repr=False)(kind))
+
+    return options
+
+
+def parse_numbers(name: str, text: str, wanted: str, *counts: int) -> tuple[float, ...]:
+    """Read numbers from the command line, as many as one of the ``counts``, if any are given."""
+    try:
+        numbers = tuple(map(float, text.split(",")))
+    except ValueError:
+        numbers = ()
+    if not numbers or (counts and len(numbers) not in counts):
+        raise SuppleError(f"{name} must be {wanted}, found {text!r}")
+    return numbers
+
+
 def parse_number(name: str, text: str, wanted: str) -> float:
     """Read a number from the command line."""
-    try:
-        return float(text)
-    except ValueError:
-        raise SuppleError(f"{name} must be {wanted}, found {text!r}") from None
+    return parse_numbers(name, text, wanted, 1)[0]
+
+
+def parse_three(name: str, text: str) -> tuple[float, ...]:
+    """Read a number for each axis from the command line."""
+    return parse_numbers(name, text, "three numbers X,Y,Z", 3)
 
 
 def parse_integer(name: str, text: str, wanted: str) -> int:
@@ -66,6 +96,16 @@ def number(wanted: str, metavar: str, **more: Any) -> Parameter:
 def whole(metavar: str = "N", **more: Any) -> Parameter:
     """Return an option that is a whole number, which Cyclopts would round."""
     return read(partial(parse_integer, wanted="a whole number"), metavar, **more)
+
+
+def text(metavar: str, **more: Any) -> Parameter:
+    """Return an option whose values may begin with a dash, as numbers do."""
+    return Parameter(metavar=metavar, allow_leading_hyphen=True, **more)
+
+
+def words(metavar: str) -> Parameter:
+    """Return an option that is one of a few words, which its help lists once."""
+    return Parameter(metavar=metavar, show_choices=False)
 
 
 def _scale(option: str, text: str) -> float:
@@ -107,8 +147,7 @@ def memory_option(**more: Any) -> Parameter:
     return read(_memory, "GB", **more)
 
 
-@Parameter(name="*", group=RUNNING)
-@dataclass(kw_only=True, eq=False, repr=False)
+@options_of(RUNNING)
 class RunOptions:
     """How the command goes about it.
 
@@ -132,9 +171,11 @@ class RunOptions:
     json: bool = False
     threads: Annotated[int | None, whole()] = None
 
-    def asked(self) -> dict[str, Any]:
-        """Return what the console is to know of them."""
-        return {"quiet": self.quiet, "strict": self.strict, "threads": self.threads}
+    def start(self, file: str = "") -> Console:
+        """Return the console of the command, which now goes by these options, and reads a file."""
+        console = current()
+        console.started(quiet=self.quiet, strict=self.strict, threads=self.threads, file=file)
+        return console
 
 
 def parse_first(option: str, text: str) -> "int | str":
@@ -196,8 +237,7 @@ class Frames:
         return re.sub(rf"(?<=,){PATTERN}(?=:|$)", counted, text)
 
 
-@Parameter(name="*", group=VIDEO)
-@dataclass(kw_only=True, eq=False, repr=False)
+@options_of(VIDEO)
 class TimeOptions:
     """How strokes feel time.
 
@@ -219,8 +259,7 @@ class TimeOptions:
         return Frames(source, self.first_frame, getattr(self, "rate", None))
 
 
-@Parameter(name="*", group=VIDEO)
-@dataclass(kw_only=True, eq=False, repr=False)
+@options_of(VIDEO)
 class VideoOptions(TimeOptions):
     """Options for videos and image sequences.
 
@@ -262,22 +301,7 @@ class VideoOptions(TimeOptions):
         return ClipOptions(**given)
 
 
-def parse_numbers(name: str, text: str, count: int, wanted: str) -> tuple[float, ...]:
-    """Read so many numbers from the command line."""
-    parts = text.split(",")
-    if len(parts) != count:
-        raise SuppleError(f"{name} must be {wanted}, found {text!r}")
-    return tuple(parse_number(name, part, wanted) for part in parts)
-
-
-def parse_three(name: str, text: str) -> tuple[float, float, float]:
-    """Read a number for each axis from the command line."""
-    x, y, z = parse_numbers(name, text, 3, "three numbers X,Y,Z")
-    return x, y, z
-
-
-@Parameter(name="*", group=VIDEO)
-@dataclass(kw_only=True, eq=False, repr=False)
+@options_of(VIDEO)
 class TrackOptions:
     """Options for strokes that follow tracked points.
 
@@ -304,27 +328,26 @@ class TrackOptions:
     """
 
     track: Annotated[str | None, Parameter(metavar="FILE|auto")] = None
-    track_name: Annotated[list[str], Parameter(metavar="NAME", allow_leading_hyphen=True, show_default=False)] = ()  # type: ignore[assignment]
-    track_frame: Annotated[str | None, Parameter(metavar="K", allow_leading_hyphen=True)] = None
+    track_name: Annotated[Texts, text("NAME")] = ()
+    track_frame: Annotated[str | None, text("K")] = None
     track_turn: bool = False
-    outside_track: Annotated[Literal["fade", "hold"] | None, Parameter(metavar="fade|hold", show_choices=False)] = None
-    track_from: Annotated[
-        Literal["pixels", "nuke", "ae"] | None, Parameter(metavar="pixels|nuke|ae", show_choices=False)
-    ] = None
+    outside_track: Annotated[Literal["fade", "hold"] | None, words("fade|hold")] = None
+    track_from: Annotated[Literal["pixels", "nuke", "ae"] | None, words("pixels|nuke|ae")] = None
     track_first: Annotated[int | None, whole()] = None
 
-    def followed(self, recipe: "Recipe", count: int, paths: Sequence[str], memory: float, frames: Frames) -> "Recipe":
-        """Return a recipe whose last ``count`` strokes, those of the command line, follow the tracks."""
-        loose: tuple[str, ...] = ("track_name", "track_from", "track_first", "track_turn")
-        if self.track is None:
-            loose = ("track_frame", "outside_track", *loose)
-        for name in loose if self.track in (None, "auto") else ():
-            if getattr(self, name) not in (None, (), [], False):
-                what = "a --track, and there is none" if self.track is None else "the --track of a file, not for auto"
-                raise SuppleError(f"--{name.replace('_', '-')} is for {what}: leave it out")
+    def followed(
+        self, recipe: "Recipe", own: Sequence[int], paths: Sequence[str], memory: float, frames: Frames
+    ) -> "Recipe":
+        """Return a recipe of which these strokes, those of the command line, follow the tracks."""
+        given = [name for name, value in vars(self).items() if value not in (None, (), False)]
+        if self.track == "auto":
+            given = [name for name in given if name not in ("track", "track_frame", "outside_track")]
+        if given and self.track in (None, "auto"):
+            what = "a --track, and there is none" if self.track is None else "the --track of a file, not for auto"
+            raise SuppleError(f"--{given[0].replace('_', '-')} is for {what}: leave it out")
         if self.track is None:
             return recipe
-        if not count:
+        if not own:
             raise SuppleError("--track moves strokes of the command line, and there are none: give a --grab")
         auto = self.track == "auto"
         if auto and (len(paths) != 2 or paths[0] == STREAM):
@@ -332,7 +355,6 @@ class TrackOptions:
         from supple.engine.progress import counted
         from supple.files.tracks import follow_tracks
 
-        total = len(recipe.strokes)
         with counted(current().terminal) as tell, counting(frames.first):
             return follow_tracks(
                 recipe,
@@ -340,7 +362,7 @@ class TrackOptions:
                 paths[0],
                 names=self.track_name,
                 frame=None if self.track_frame is None else frames.read("--track-frame", self.track_frame),
-                strokes=[k for k in range(total - count, total) if recipe.strokes[k].brush != "freeze"],
+                strokes=own,
                 convention=self.track_from,
                 first=frames.first if self.track_first is None else self.track_first,
                 frames=frames.read,
@@ -354,8 +376,7 @@ class TrackOptions:
 Labels = Annotated[bool | Literal["nearest", "smooth"], Parameter(group=VOLUME, metavar="[nearest|smooth]")]
 
 
-@Parameter(name="*", group=VOLUME)
-@dataclass(kw_only=True, eq=False, repr=False)
+@options_of(VOLUME)
 class VolumeArguments:
     """Options for volumes.
 
@@ -379,9 +400,9 @@ class VolumeArguments:
     world: bool = False
     series: Annotated[str | None, Parameter(metavar="N|UID")] = None
     irregular: Literal["resample"] | None = None
-    shape: Annotated[str | None, Parameter(metavar="X,Y,Z", allow_leading_hyphen=True)] = None
+    shape: Annotated[Any, read(parse_three, "X,Y,Z")] = None
     dtype: Annotated[str | None, Parameter(metavar="TYPE")] = None
-    spacing: Annotated[str | None, Parameter(metavar="X,Y,Z", allow_leading_hyphen=True)] = None
+    spacing: Annotated[Any, read(parse_three, "X,Y,Z")] = None
 
     def to_reading(self, *, labels: bool | str = False, save_field: str | None = None) -> "Reading":
         """Return the options as the library takes them."""
@@ -395,34 +416,81 @@ class VolumeArguments:
                 raise SuppleError(
                     "a file without a header needs both --shape X,Y,Z and --dtype: give the other one too"
                 )
-            sizes = tuple(int(n) if n.is_integer() else n for n in parse_three("--shape", self.shape))
-            spacing = (1.0, 1.0, 1.0) if self.spacing is None else parse_three("--spacing", self.spacing)
-            layout = RawLayout(sizes, self.dtype, spacing)  # type: ignore[arg-type]
-        return Reading(
-            world=self.world, labels=labels == "nearest" or labels, save_field=save_field, layout=layout,
-            series=self.series, irregular=self.irregular,
-        )  # fmt: skip
-
-    def place_of(self, path: str) -> str | None:
-        """Return the convention of a volume, as `Geometry` has it; None of anything else.
-
-        Of several files, it is that of the first one; of standard input, which cannot be read twice, that of DICOM.
-        """
-        from supple.files.volumes import place_of
-        from supple.media.medium import ONE_FILE, holds_volumes
-        from supple.media.suffixes import suffix_of
-
-        if path == STREAM:
-            return "LPS"
-        if glob.has_magic(path) and not os.path.exists(path):
-            path = min(glob.glob(path, recursive=True), default=path)
-        elif holds_volumes(path):
-            path = os.path.join(path, min(name for name in os.listdir(path) if suffix_of(name) in ONE_FILE))
-        return place_of(path, self.to_reading())
+            sizes = tuple(int(n) if n.is_integer() else n for n in self.shape)
+            layout = RawLayout(sizes, self.dtype, self.spacing or (1.0, 1.0, 1.0))  # type: ignore[arg-type]
+        return Reading(self.world, labels == "nearest" or labels, save_field, layout, self.series, self.irregular)
 
 
-@Parameter(name="*", group=STORES)
-@dataclass(kw_only=True, eq=False, repr=False)
+def convention_of(path: str, reading: "Reading") -> str | None:
+    """Return the convention of a volume, as `Geometry` has it; None of anything else.
+
+    Of several files, it is that of the first one; of standard input, which cannot be read twice, that of DICOM.
+    """
+    from supple.files.volumes import place_of
+    from supple.media.medium import ONE_FILE, holds_volumes
+    from supple.media.suffixes import suffix_of
+
+    if path == STREAM:
+        return "LPS"
+    if glob.has_magic(path) and not os.path.exists(path):
+        path = min(glob.glob(path, recursive=True), default=path)
+    elif holds_volumes(path):
+        path = os.path.join(path, min(name for name in os.listdir(path) if suffix_of(name) in ONE_FILE))
+    return place_of(path, reading)
+
+
+@options_of(WRITING)
+class WritingOptions:
+    """Options of what is written.
+
+    Parameters
+    ----------
+    quality
+        Quality of JPEG (default that of the input, or 95), WebP and AVIF (90), from 1 to 100.
+    lossless
+        Write WebP and AVIF without loss, and videos, by FFV1 or the codec that is named. PNG and TIFF always are.
+    save_recipe
+        Write the strokes to a recipe (JSON), for --recipe of supple warp.
+    """
+
+    quality: Annotated[int | None, whole("1..100")] = None
+    lossless: bool = False
+    save_recipe: Annotated[str | None, Parameter(metavar="FILE")] = None
+
+
+@options_of(SEVERAL)
+class SeveralOptions:
+    """Options of several files.
+
+    Parameters
+    ----------
+    recursive
+        Also enter the folders within a folder; what is written has the same folders.
+    skip_existing
+        Leave files that are there already as they are, and go on with the others.
+    jobs
+        How many pictures are worked on at the same time (as many as there are processors, and memory for).
+    """
+
+    recursive: bool = False
+    skip_existing: bool = False
+    jobs: Annotated[int | None, whole()] = None
+
+    def check(self, many: bool, force: bool) -> None:
+        """Refuse these options where there is one file, or where they contradict each other."""
+        loose = next((name for name, value in vars(self).items() if value not in (False, None)), None)
+        if loose is not None and not many:
+            option = f"--{loose.replace('_', '-')}"
+            raise SuppleError(
+                f"{option} is for several files, a folder or a pattern, which become a folder: leave it out"
+            )
+        if self.skip_existing and force:
+            raise SuppleError("--force replaces what --skip-existing leaves as it is: give one of them")
+        if self.jobs is not None and self.jobs < 1:
+            raise SuppleError(f"--jobs must be a number of pictures from 1 on, found {self.jobs}")
+
+
+@options_of(STORES)
 class WorkerOptions:
     """Options of outputs that are written block by block.
 
@@ -440,18 +508,16 @@ class WorkerOptions:
     @property
     def given(self) -> str | None:
         """The name of an option that is given; None if none is."""
-        names = {"--workers": self.workers, "--scheduler": self.scheduler}
-        return next((name for name, value in names.items() if value is not None), None)
+        return next((f"--{name}" for name, value in vars(self).items() if value is not None), None)
 
     def to_running(self) -> "Running":
         """Return the options as the library takes them."""
         from supple.files.tasks import Running
 
-        return Running(workers=self.workers, scheduler=self.scheduler)
+        return Running(**vars(self))
 
 
-@Parameter(name="*", group=SAMPLING)
-@dataclass(kw_only=True, eq=False, repr=False)
+@options_of(SAMPLING)
 class SamplingOptions:
     """How the input is sampled.
 
@@ -470,7 +536,7 @@ class SamplingOptions:
 
     filter: Annotated[str, Parameter(metavar="auto|cubic|linear|nearest")] = "auto"
     outside: Literal["edge", "constant", "reflect"] | None = None
-    fill: Annotated[str | None, Parameter(metavar="V|V,V,V", allow_leading_hyphen=True)] = None
+    fill: Annotated[str | None, text("V|V,V,V")] = None
     tolerance: Annotated[float, number("a number of pixels above 0", "PX")] = 0.01
 
     def to_sampling(self, elsewhere: bool, linear_light: bool = False) -> "tuple[Sampling, str | None]":
@@ -480,8 +546,7 @@ class SamplingOptions:
         """
         from supple.engine.sampling import Sampling
 
-        wanted = "a number, or one for each channel: 255,0,0"
-        values = [parse_number("--fill", part, wanted) for part in (self.fill or "0").split(",")]
+        values = [*parse_numbers("--fill", self.fill or "0", "a number, or one for each channel: 255,0,0")]
         outside: str | None = self.outside
         if self.fill is not None and outside is None and elsewhere:
             outside = "constant"

@@ -1,28 +1,28 @@
 """Options of fields, affine maps and output grids, in the order in which they are given."""
 
-import itertools
 import os
 import re
 import threading
 import warnings
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Group, Parameter
 
-from supple.cli.options import COORDINATES
+from supple.cli.console import say_convention
+from supple.cli.options import COORDINATES, Texts, options_of, parse_integer, parse_numbers, text
 from supple.errors import OutsideWarning, SuppleError, shown
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from supple.cli.console import Console
-    from supple.cli.options_strokes import StrokeOptions
     from supple.fields import Placed
-    from supple.files.jobs import Job
+    from supple.files.jobs import Job, Warped
     from supple.files.options import GridOptions
+    from supple.files.stores import WarpedStore
     from supple.space.affine import Affine
     from supple.space.geometry import Grid
-    from supple.strokes import Recipe
 
 PathLike = str | os.PathLike[str]
 
@@ -31,16 +31,12 @@ OUTPUT = Group("Output grid", sort_key=1.6)
 
 Reference = Annotated[str | None, Parameter(group=MAPS, metavar="FILE")]
 
-OTHERS = "--field FILE, --affine FILE, --crop BOX, --resample S, --reference FILE or "
-"""What `supple warp` does without strokes."""
-
 _ON_PIXELS = ("opencv", "stmap")
 _AFFINE = "6 numbers (pictures) or 12 (volumes), the rows of its matrix, or a file"
 _NUMBERS = re.compile(r"[-+\d.eE,\s]*\d[-+\d.eE,\s]*")
 
 
-@Parameter(name="*")
-@dataclass(kw_only=True, eq=False, repr=False)
+@options_of()
 class MapOptions:
     """Options of maps that are no strokes.
 
@@ -58,29 +54,17 @@ class MapOptions:
     convention
         The convention of the file of the --field or --affine before it: itk, fsl-relative, … (default: the one that
         the file shows). Of tables of points, and of meshes, that do not name theirs: LPS or RAS in millimetres, or
-        index, which is voxels; in supple warp, of those of the --pull before it.
+        index, which is voxels.
     """
 
-    field: Annotated[list[str], Parameter(group=MAPS, metavar="FILE", show_default=False)] = ()  # type: ignore[assignment]
-    affine: Annotated[
-        list[str], Parameter(group=MAPS, metavar="FILE|NUMBERS", show_default=False, allow_leading_hyphen=True)
-    ] = ()  # type: ignore[assignment]
+    field: Annotated[Texts, Parameter(group=MAPS, metavar="FILE")] = ()
+    affine: Annotated[Texts, text("FILE|NUMBERS", group=MAPS)] = ()
     inverse: Annotated[int, Parameter(group=MAPS, count=True, show_default=False)] = 0
-    convention: Annotated[list[str], Parameter(group=MAPS, metavar="NAME", show_default=False)] = ()  # type: ignore[assignment]
+    convention: Annotated[Texts, Parameter(group=MAPS, metavar="NAME")] = ()
 
     @property
-    def any(self) -> bool:
-        """Return whether there is a map."""
-        return bool(self.field or self.affine)
-
-    @property
-    def dangling(self) -> bool:
-        """Return whether there is something said of maps, but no map."""
-        return bool(self.inverse or self.convention) and not self.any
-
-    @property
-    def conventions(self) -> dict[str, list[str]]:
-        """The values of --convention, and of the options here that one may be about."""
+    def given(self) -> dict[str, Texts]:
+        """The values of the options here that have an order."""
         return {"--field": self.field, "--affine": self.affine, "--convention": self.convention}
 
     @property
@@ -91,67 +75,8 @@ class MapOptions:
             raise SuppleError(f"--convention of points is given as {' and '.join(sorted(found))}: leave one out")
         return found.pop() if found else None
 
-    def to_maps(
-        self,
-        arguments: Sequence[str],
-        recipe: "Recipe | None",
-        strokes: "StrokeOptions",
-        output: "OutputOptions | None" = None,
-        *,
-        reference: str | None = None,
-        points: bool = False,
-    ) -> "Maps":
-        """Return the maps among the strokes of a command line.
 
-        ``recipe`` has the ``strokes`` of the command line after those of its file. ``output`` is the grid of the
-        output, of a command that writes on another one than the input's; ``reference`` is the image on whose grid
-        others show what they do. With ``points``, --inverse before all maps is about points, which are then moved back.
-        """
-        from supple.cli.options_strokes import in_order
-
-        given = strokes.given
-        found = in_order(arguments, {**self.conventions, **given})
-        sizes = strokes.parts(arguments)
-        parts = iter(sizes)
-        first = 0 if recipe is None else len(recipe.strokes) - sum(sizes)
-        entries: list[_Entry] = []
-        before, seen, pull, back = 0, False, False, False
-        for option, value in found:
-            if option == "--freeze" and not seen:
-                before += next(parts)  # before all strokes, of which it is none
-                continue
-            pull = option == "--pull" or (pull and option not in ("--field", "--affine"))
-            if option == "--recipe" or (option in given and not seen):
-                before, seen = before + first * (not seen), True
-            if option in given:
-                before += next(parts)
-            elif option in ("--field", "--affine"):
-                entries.append(_Entry(option, value, before))
-            elif option == "--convention" and (pull if output is not None else value.lower() in COORDINATES):
-                continue  # of the points
-            elif option == "--inverse" and points and not entries:
-                back = True
-            elif option == "--convention" and output is None and not entries:
-                raise SuppleError(f"--convention of points must be LPS, RAS or index, found {value!r}")
-            elif option in ("--inverse", "--convention") and not entries:
-                what = "--field, --affine or --pull" if option == "--convention" else "--field or --affine"
-                raise SuppleError(f"{option} is for the {what} before it, and there is none: give one")
-            elif option == "--inverse":
-                if entries[-1].inverse:
-                    raise SuppleError(f"{entries[-1].told} has two --inverse: leave out one, or both")
-                entries[-1].inverse = True
-            elif option == "--convention":
-                if entries[-1].convention is not None:
-                    raise SuppleError(f"{entries[-1].told} has two --convention: leave out one")
-                entries[-1].convention = value
-        for entry in entries:
-            if entry.convention is not None and entry.is_numbers:
-                raise SuppleError(f"--convention is for files, and {entry.told} is none: leave it out")
-        return Maps(entries, reference if output is None else output.onto, back=back)
-
-
-@Parameter(name="*")
-@dataclass(kw_only=True, eq=False, repr=False)
+@options_of()
 class OutputOptions:
     """Options of the grid of the output.
 
@@ -170,10 +95,8 @@ class OutputOptions:
 
     reference: Annotated[str | None, Parameter(group=OUTPUT, metavar="FILE")] = None
     fixed: Annotated[str | None, Parameter(group=OUTPUT, metavar="FILE")] = None
-    crop: Annotated[str | None, Parameter(group=OUTPUT, metavar="X,Y,W,H|X,Y,Z,W,H,D", allow_leading_hyphen=True)] = (
-        None
-    )
-    resample: Annotated[str | None, Parameter(group=OUTPUT, metavar="S|SX,SY[,SZ]", allow_leading_hyphen=True)] = None
+    crop: Annotated[str | None, text("X,Y,W,H|X,Y,Z,W,H,D", group=OUTPUT)] = None
+    resample: Annotated[str | None, text("S|SX,SY[,SZ]", group=OUTPUT)] = None
 
     @property
     def onto(self) -> str | None:
@@ -184,7 +107,6 @@ class OutputOptions:
 
     def to_grid(self) -> "GridOptions | None":
         """Return the grid of the output as the library takes it."""
-        from supple.cli.options import parse_integer, parse_number
         from supple.files.options import GridOptions
 
         if self.onto is None and self.crop is None and self.resample is None:
@@ -195,7 +117,7 @@ class OutputOptions:
             box = [parse_integer("--crop", part, wanted) for part in self.crop.split(",")]
         if self.resample is not None:
             wanted = "a spacing S, or one for each axis, SX,SY or SX,SY,SZ"
-            steps = [parse_number("--resample", part, wanted) for part in self.resample.split(",")]
+            steps = parse_numbers("--resample", self.resample, wanted)
         spacing = steps if steps is None or len(steps) > 1 else steps[0]
         return GridOptions(self.onto, box, spacing, strokes=self.fixed is not None)
 
@@ -249,17 +171,15 @@ class _Entry:
     def _affine(self) -> "Affine":
         from supple.space.affine import Affine
 
-        try:
-            numbers = [float(part) for part in self.text.split(",")]
-        except ValueError:
-            numbers = []
-        if len(numbers) not in (6, 12):
-            raise SuppleError(f"--affine must be {_AFFINE}, found {self.text!r}")
+        numbers = parse_numbers("--affine", self.text, _AFFINE, 6, 12)
         width = 3 if len(numbers) == 6 else 4
         try:
             return Affine([numbers[k : k + width] for k in range(0, len(numbers), width)])
         except SuppleError as error:
             raise SuppleError(f"{self.told}: {error}") from None
+
+
+_Read = tuple[_Entry, list["Placed"], str | None]
 
 
 class Maps:
@@ -268,12 +188,38 @@ class Maps:
     Of several inputs on one grid, files are read once.
     """
 
-    def __init__(self, entries: Sequence[_Entry], reference: str | None = None, *, back: bool = False) -> None:
-        self._entries = list(entries)
+    def __init__(self, reference: str | None = None) -> None:
+        self._entries: list[_Entry] = []
         self.reference = reference
-        self.back = back
+        self.back = False
         self._lock = threading.Lock()
-        self._known: tuple[Grid | None, list[tuple[list[Placed], str | None]]] | None = None
+        self._known: tuple[Grid | None, list[_Read]] | None = None
+
+    def add(self, option: str, value: str, after: int, *, back: bool) -> None:
+        """Take an option in the order of the command line: a map ``after`` some strokes, or what is said of the last.
+
+        If points can go ``back``, an --inverse before all maps says so.
+        """
+        last = self._entries[-1] if self._entries else None
+        if option in ("--field", "--affine"):
+            self._entries.append(_Entry(option, value, after))
+        elif option == "--convention" and value.lower() in COORDINATES:
+            pass  # of points
+        elif option == "--inverse" and back and last is None:
+            self.back = True
+        elif last is None:
+            of_points = ", or LPS, RAS or index of points" if option == "--convention" else ""
+            raise SuppleError(
+                f"{option} is for the --field or --affine before it, and there is none: give one{of_points}"
+            )
+        elif getattr(last, option[2:]):
+            raise SuppleError(f"{last.told} has two {option}: leave out one")
+        elif option == "--inverse":
+            last.inverse = True
+        elif last.is_numbers:
+            raise SuppleError(f"--convention is for files, and {last.told} is none: leave it out")
+        else:
+            last.convention = value
 
     def __bool__(self) -> bool:
         return bool(self._entries)
@@ -284,19 +230,12 @@ class Maps:
 
         return source if self.reference is None else reference_grid(self.reference, source.ndim)
 
-    @property
-    def ndim(self) -> int | None:
-        """The number of axes, as far as the command line alone tells it."""
-        counts = [3 if entry.text.count(",") == 11 else 2 for entry in self._entries if entry.is_numbers]
-        return counts[0] if counts else None
-
     def read(self, source: "Grid | None") -> "tuple[Placed, ...]":
         """Return the maps for an input on this grid, in the order in which they apply."""
-        if not self._entries:
-            return ()
-        return tuple(placed for some, _ in self._read(source) for placed in some)
+        return tuple(placed for _, some, _ in self._read(source) for placed in some)
 
-    def _read(self, source: "Grid | None") -> "list[tuple[list[Placed], str | None]]":
+    def _read(self, source: "Grid | None") -> "list[_Read]":
+        """Return each entry, its maps, and the convention of its file."""
         from supple.files import maps
 
         with self._lock:
@@ -307,30 +246,30 @@ class Maps:
                         fixed = self.output(source)
                 except SuppleError as error:
                     refused = error  # unless it is not needed: pages become a volume by what the maps are
+                read = list[_Read]()
                 most = len(self._entries) - 1
-                ends = [(source if k == 0 else None, fixed if k == most else None) for k in range(most + 1)]
-                try:
-                    read = [
-                        entry.read(*known, last=k == most)
-                        for k, (entry, known) in enumerate(zip(self._entries, ends, strict=True))
-                    ]
-                except SuppleError:
-                    if refused is not None:
-                        raise refused from None
-                    raise
-                self._known = source, [(maps.lifted(some, form, source), form) for some, form in read]
+                for k, entry in enumerate(self._entries):
+                    try:
+                        ends = source if k == 0 else None, fixed if k == most else None
+                        some, form = entry.read(*ends, last=k == most)
+                    except SuppleError as error:
+                        raise (refused or error) from None
+                    read.append((entry, maps.lifted(some, form, source), form))
+                self._known = source, read
             return self._known[1]
 
-    def placed(self, console: "Console", job: "Job") -> "Job":
+    def placed(
+        self, console: "Console", job: "Job", grid_of: "Callable[[Job], Grid | None]" = lambda job: job.medium.grid
+    ) -> "Job":
         """Return a job with the maps, on the grid of its file; tell of each."""
         from supple.files.clips import refuse_maps
 
-        if not self._entries:
+        if not self:
             return job
-        own = job.medium.grid
+        own = grid_of(job)
         if own is not None and any(each.map.ndim != own.ndim for each in self.read(own)):
             job = replace(job, maps=self.read(own))  # by which pages may become a volume
-            own = job.medium.grid
+            own = grid_of(job)
         if own is None:
             refuse_maps(job.source)
         return replace(job, maps=self.on(console, own, job.medium.name, job.grid))
@@ -359,48 +298,42 @@ class Maps:
 
         if source.ndim != 2:
             return
-        output = self.output(source)
-        ends = {0: (source, name), len(self._entries): (output, shown(self.reference or name))}
-        within: dict[int, list[tuple[_Entry, Grid]]] = {}
-        for k, (entry, (placed, convention)) in enumerate(zip(self._entries, self._read(source), strict=True)):
+        output, most = self.output(source), len(self._entries)
+        within: dict[int, tuple[str, Grid]] = {}
+        for k, (entry, placed, convention) in enumerate(self._read(source)):
             held = placed[0].map if placed else None
             # one that does not begin at the first pixel is of more than the picture, or of a part
             if convention not in _ON_PIXELS or not isinstance(held, Field) or any(held.grid.origin):
                 continue
-            at = k if entry.inverse else k + 1
-            if at not in ends:
-                within.setdefault(at, []).append((entry, held.grid))
-            elif held.grid.shape != ends[at][0].shape:
-                picture, whose = ends[at]
-                what = "which it is applied to" if at == 0 else "on whose pixels the result is written"
+            at, told = k if entry.inverse else k + 1, f"{shown(entry.text)} is a map of {_size(held.grid)} pixels, and"
+            if at == 0 and held.grid.shape != source.shape:
+                raise SuppleError(f"{told} {name}, which it is applied to, has {_size(source)}: give a map of its size")
+            if at == most and held.grid.shape != output.shape:
                 raise SuppleError(
-                    f"{shown(entry.text)} is a map of {_size(held.grid)} pixels, and {whose}, {what}, has "
-                    f"{_size(picture)}: give a {'map of its size' if at == 0 else 'picture of its size by --reference'}"
+                    f"{told} {shown(self.reference or name)}, on whose pixels the result is written, has "
+                    f"{_size(output)}: give a picture of its size by --reference"
                 )
-        known = {source.shape, output.shape}
-        for found in within.values():
-            for (one, first), (other, second) in itertools.pairwise(found):
-                if first.shape != second.shape:
-                    raise SuppleError(
-                        f"{shown(one.text)} is a map of {_size(first)} pixels, and {shown(other.text)}, which takes "
-                        f"what it makes, of {_size(second)}: give maps of one size"
-                    )
-            if len(found) == 1 and found[0][1].shape not in known:
-                entry, grid = found[0]
+            other, grid = within.pop(at, ("", held.grid))
+            if grid.shape != held.grid.shape:
+                raise SuppleError(
+                    f"{other} is a map of {_size(grid)} pixels, and {shown(entry.text)}, which takes what it makes, of "
+                    f"{_size(held.grid)}: give maps of one size"
+                )
+            if not other and 0 < at < most:
+                within[at] = shown(entry.text), held.grid
+        for told, grid in within.values():
+            if grid.shape not in (source.shape, output.shape):
                 warnings.warn(
-                    f"{shown(entry.text)} is a map of {_size(grid)} pixels, and {name} has {_size(source)}: beyond its "
-                    "edges, it goes on as there",
+                    f"{told} is a map of {_size(grid)} pixels, and {name} has {_size(source)}: beyond its edges, it "
+                    "goes on as there",
                     OutsideWarning,
                     stacklevel=2,
                 )
 
     def facts(self, source: "Grid | None") -> list[dict[str, Any]]:
         """Return what is told of each map, as JSON holds it."""
-        return [
-            _facts(entry, placed, convention)
-            for entry, (some, convention) in zip(self._entries, self._read(source), strict=True)
-            for placed in some
-        ]
+        read = self._read(source)
+        return [_facts(entry, placed, convention) for entry, some, convention in read for placed in some]
 
 
 def _size(grid: "Grid") -> str:
@@ -453,12 +386,32 @@ def describe_grid(facts: dict[str, Any], units: str) -> str:
     return f"{sizes} samples, spacing {steps} {units}, from ({origin.replace(' x ', ', ')})"
 
 
-def say_background(
-    console: "Console", target: str | os.PathLike[str], source: str | os.PathLike[str], value: float | None
+def say_output(
+    console: "Console", made: "Warped | WarpedStore", grid: "Grid | None", target: object, source: object, world: bool
 ) -> None:
-    """Say what is written where a map leads out of the input, if that was not asked for."""
-    if value is not None:
+    """Say on what grid a result is, if it is given, what its points are, and what lies outside of the input.
+
+    The last is said unless it was asked for.
+    """
+    target, source = shown(str(target)), shown(str(source))
+    if grid is not None:
+        units = "mm" if made.geometry is not None and made.geometry.convention != "array" else "pixels"
+        console.note(f"{target} is written on {describe_grid(grid_facts(grid), units)}")
+    if made.background is not None:
         console.note(
-            f"what lies outside of {shown(source)} is {value:g} in {shown(target)}: --fill V, or --outside edge, asks "
-            "for something else"
+            f"what lies outside of {source} is {made.background:g} in {target}: --fill V, or --outside edge, asks for "
+            "something else"
         )
+    say_convention(console, world, made.geometry, source)
+
+
+def output_facts(made: "Warped | WarpedStore") -> dict[str, Any]:
+    """Return what is told of the grid of a result, and of what maps do to it."""
+    facts: dict[str, Any] = {}
+    if made.background is not None:
+        facts["background"] = made.background
+    if made.grid is not None:
+        facts["grid"] = grid_facts(made.grid)
+    if made.deformation.maps:
+        facts |= {"folded": made.folded, "outside": made.outside, "unsolved": made.unsolved}
+    return facts

@@ -1,28 +1,40 @@
-"""Options of strokes, in the order in which they are given, and the recipe that they make."""
+"""Options of strokes, and what a command line makes of them and of the maps among them, in the order given."""
 
+import contextlib
 import math
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
-from itertools import chain
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from functools import cache, partial
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
 
 from cyclopts import Group, Parameter
 
-from supple.cli.console import current
-from supple.cli.options import COORDINATES, Frames, number, parse_integer, parse_number
+from supple.cli.options import (
+    Frames,
+    Texts,
+    convention_of,
+    number,
+    options_of,
+    parse_integer,
+    parse_number,
+    parse_numbers,
+    read,
+    text,
+    words,
+)
+from supple.cli.options_maps import MapOptions, Maps
 from supple.errors import SuppleError, shown
 
 if TYPE_CHECKING:
+    from supple.files.options import VolumeOptions
     from supple.files.places import Places
-    from supple.media.medium import Medium
     from supple.space.domain import Border
     from supple.space.freezing import Freeze
     from supple.space.straighten import Straighten
     from supple.strokes import CoordinateSpace, Fit, Recipe, Stroke
 
-Place = Callable[[], str | None]
+Value = TypeVar("Value")
 
 STROKES = Group("Strokes", sort_key=1)
 STRAIGHTEN = Group("Straighten pictures", sort_key=1.2)
@@ -34,8 +46,8 @@ FRAMES = ("crop", "pad", "keep")
 _ONE_OF = "give --grab, --twist, --scale, --pinch, --pull or --push"
 # Of one stroke, and of all of them.
 _OF_EACH = ("radius", "poisson", "scales", "reach", "time_radius", "flat", "strength", "matte", "mirror")
-_OF_ALL = ("border", "border_profile", "freeze", "freeze_width", "on_fold")
-_FLAT = "a part of the radius from 0 to 0.9"
+_OF_ALL = ("border", "border_profile", "freeze", "freeze_width", "on_fold", "amount")
+_LENGTH = "a number of pixels or millimetres above 0, or a percentage"
 _TWIST = "X,Y[,T|Z]:ANGLE[:AXIS]"
 _SCALE = "X,Y[,T|Z]:FACTOR"
 _PINCH = "X,Y[,T|Z]:FACTOR[:AXIS]"
@@ -61,7 +73,7 @@ def in_order(arguments: Sequence[str], given: Mapping[str, Sequence[str]]) -> li
         if argument == "--":
             break
         name, joined, value = argument.partition("=")
-        if name in given or name in ("--recipe", "--inverse"):
+        if name in given or name == "--inverse":
             found.append((name, value if joined or name == "--inverse" else next(rest, "")))
     for name, values in given.items():
         if [value for option, value in found if option == name] != list(values):
@@ -69,8 +81,41 @@ def in_order(arguments: Sequence[str], given: Mapping[str, Sequence[str]]) -> li
     return found
 
 
-@Parameter(name="*", group=STROKES)
-@dataclass(kw_only=True, eq=False, repr=False)
+def _part(option: str, text: str) -> float:
+    """Read a part of strokes, in percent or as a number."""
+    from supple.strokes import LEAST, MOST
+
+    wanted = "a part of the strokes, from -100% to 200%, or from -1 to 2"
+    percent = text.strip().endswith("%")
+    part = parse_number(option, text.strip().removesuffix("%"), wanted) / (100 if percent else 1)
+    if not LEAST <= part <= MOST:
+        raise SuppleError(f"{option} must be {wanted}, found {text!r}")
+    return part
+
+
+@dataclass(frozen=True)
+class Edits:
+    """What a command line does.
+
+    Parameters
+    ----------
+    recipe : Recipe
+        The strokes of the recipe file, and after them those of the command line.
+    maps : Maps
+        The fields and affine maps among them.
+    own : tuple of int
+        The places in the recipe of the command line's strokes, without freezes.
+    relative : bool
+        Whether the strokes are others in each picture: at landmarks, or of lengths in percent.
+    """
+
+    recipe: "Recipe"
+    maps: Maps
+    own: tuple[int, ...] = ()
+    relative: bool = False
+
+
+@options_of(STROKES)
 class StrokeOptions:
     """Options for strokes: points, drags and materials.
 
@@ -169,75 +214,44 @@ class StrokeOptions:
         Width of the result in pixels, or its width and height, to whose proportions it is then cropped or padded.
     """
 
-    grab: Annotated[
-        list[str], Parameter(allow_leading_hyphen=True, metavar="X,Y[,T|Z]:X,Y[,T|Z]", show_default=False)
-    ] = ()  # type: ignore[assignment]
-    twist: Annotated[list[str], Parameter(allow_leading_hyphen=True, metavar=_TWIST, show_default=False)] = ()  # type: ignore[assignment]
-    scale: Annotated[list[str], Parameter(allow_leading_hyphen=True, metavar=_SCALE, show_default=False)] = ()  # type: ignore[assignment]
-    pinch: Annotated[list[str], Parameter(allow_leading_hyphen=True, metavar=_PINCH, show_default=False)] = ()  # type: ignore[assignment]
-    pull: Annotated[list[str], Parameter(metavar="FROM:TO", show_default=False)] = ()  # type: ignore[assignment]
-    push: Annotated[list[str], Parameter(allow_leading_hyphen=True, metavar=_PUSH, show_default=False)] = ()  # type: ignore[assignment]
-    radius: Annotated[list[str], Parameter(allow_leading_hyphen=True, metavar="R", show_default=False)] = ()  # type: ignore[assignment]
-    poisson: Annotated[list[str], Parameter(allow_leading_hyphen=True, metavar="N", show_default=False)] = ()  # type: ignore[assignment]
-    scales: Annotated[list[str], Parameter(allow_leading_hyphen=True, metavar="1|2|3", show_default=False)] = ()  # type: ignore[assignment]
-    reach: Annotated[list[str], Parameter(allow_leading_hyphen=True, metavar="R|none", show_default=False)] = ()  # type: ignore[assignment]
-    time_radius: Annotated[list[str], Parameter(allow_leading_hyphen=True, metavar="F", show_default=False)] = ()  # type: ignore[assignment]
-    flat: Annotated[list[str], Parameter(allow_leading_hyphen=True, metavar="P", show_default=False)] = ()  # type: ignore[assignment]
+    grab: Annotated[Texts, text("X,Y[,T|Z]:X,Y[,T|Z]")] = ()
+    twist: Annotated[Texts, text(_TWIST)] = ()
+    scale: Annotated[Texts, text(_SCALE)] = ()
+    pinch: Annotated[Texts, text(_PINCH)] = ()
+    pull: Annotated[Texts, Parameter(metavar="FROM:TO")] = ()
+    push: Annotated[Texts, text(_PUSH)] = ()
+    radius: Annotated[Texts, text("R")] = ()
+    poisson: Annotated[Texts, text("N")] = ()
+    scales: Annotated[Texts, text("1|2|3")] = ()
+    reach: Annotated[Texts, text("R|none")] = ()
+    time_radius: Annotated[Texts, text("F")] = ()
+    flat: Annotated[Texts, text("P")] = ()
     recipe: Annotated[str | None, Parameter(metavar="FILE")] = None
-    border: Annotated[str | None, Parameter(allow_leading_hyphen=True, metavar="auto|none|N|N,N")] = None
-    border_profile: Annotated[
-        Literal["quartic", "sine"] | None, Parameter(metavar="quartic|sine", show_choices=False)
-    ] = None
-    freeze: Annotated[list[str], Parameter(metavar="FILE[:LABEL]|none", show_default=False)] = ()  # type: ignore[assignment]
-    freeze_width: Annotated[str | None, Parameter(allow_leading_hyphen=True, metavar="N")] = None
-    matte: Annotated[list[str], Parameter(metavar="FILE|none", show_default=False)] = ()  # type: ignore[assignment]
-    on_fold: Annotated[
-        Literal["damp", "flow", "error"] | None, Parameter(metavar="flow|damp|error", show_choices=False)
-    ] = None
-    amount: Annotated[str | None, Parameter(allow_leading_hyphen=True, metavar="PART")] = None
-    strength: Annotated[list[str], Parameter(allow_leading_hyphen=True, metavar="PART", show_default=False)] = ()  # type: ignore[assignment]
+    border: Annotated[str | None, text("auto|none|N|N,N")] = None
+    border_profile: Annotated[Literal["quartic", "sine"] | None, words("quartic|sine")] = None
+    freeze: Annotated[Texts, Parameter(metavar="FILE[:LABEL]|none")] = ()
+    freeze_width: Annotated[float | None, number("a number of pixels or millimetres above 0", "N")] = None
+    matte: Annotated[Texts, Parameter(metavar="FILE|none")] = ()
+    on_fold: Annotated[Literal["damp", "flow", "error"] | None, words("flow|damp|error")] = None
+    amount: Annotated[float | None, read(_part, "PART")] = None
+    strength: Annotated[Texts, text("PART")] = ()
     landmarks: Annotated[str | None, Parameter(metavar="FILE|DIR")] = None
     percent_of: Annotated[str | None, Parameter(metavar="NAME:NAME")] = None
-    mirror: Annotated[str | None, Parameter(allow_leading_hyphen=True, metavar="X|X,Y:X,Y")] = None
+    mirror: Annotated[str | None, text("X|X,Y:X,Y")] = None
     fit: Annotated[
-        list[Literal["pixels", "stretch", "inside", "crop", "pad", "keep"]],
-        Parameter(metavar="pixels|stretch|inside|crop|pad|keep", show_choices=False, show_default=False),
-    ] = ()  # type: ignore[assignment]
+        tuple[Literal["pixels", "stretch", "inside", "crop", "pad", "keep"], ...],
+        words("pixels|stretch|inside|crop|pad|keep"),
+    ] = ()
     rotate: Annotated[float | None, number("a number of degrees", "DEG", group=STRAIGHTEN)] = None
-    shear: Annotated[str | None, Parameter(group=STRAIGHTEN, allow_leading_hyphen=True, metavar="DEG[,DEG]")] = None
-    keystone: Annotated[str | None, Parameter(group=STRAIGHTEN, allow_leading_hyphen=True, metavar=_KEYSTONE)] = None
-    scale_to: Annotated[str | None, Parameter(group=STRAIGHTEN, allow_leading_hyphen=True, metavar="W[,H]")] = None
+    shear: Annotated[str | None, text("DEG[,DEG]", group=STRAIGHTEN)] = None
+    keystone: Annotated[str | None, text(_KEYSTONE, group=STRAIGHTEN)] = None
+    scale_to: Annotated[str | None, text("W[,H]", group=STRAIGHTEN)] = None
 
     @property
-    def given(self) -> dict[str, list[str]]:
-        """The values of the options that are strokes, or freezes among them."""
-        return {option: list(getattr(self, option[2:])) for option in (*BRUSHES, "--freeze")}
-
-    def parts(self, arguments: Sequence[str]) -> list[int]:
-        """Of each stroke and freeze given, how many it makes: two of a mirrored one, none of the recipe's mask."""
-        sizes, freezes = (iter(getattr(self, name, ())) for name in ("_sizes", "_freezes"))
-        found, first = list[int](), True
-        for option, _ in in_order(arguments, self.given):
-            if option == "--freeze":
-                found.append(next(freezes, int(not first)))
-            elif option in BRUSHES:
-                found.append(next(sizes, 1))
-            first = first and option not in (*BRUSHES, "--recipe")
-        return found
-
-    @property
-    def count(self) -> int:
-        """The number of strokes given, and of freezes that are not before all; without those of the recipe."""
-        return sum(size > 0 for size in self.parts(self._arguments))
-
-    @cached_property
-    def _arguments(self) -> tuple[str, ...]:
-        return current().arguments  # which threads of several pictures do not know
-
-    @property
-    def relative(self) -> bool:
-        """Whether the strokes of `to_recipe` are others in each picture: at landmarks, or of lengths in percent."""
-        return getattr(self, "_relative", False)
+    def given(self) -> dict[str, Sequence[str]]:
+        """The values of the options that are strokes, or stand among them."""
+        options = {option: getattr(self, option[2:]) for option in (*BRUSHES, "--freeze")}
+        return {**options, "--recipe": () if self.recipe is None else (self.recipe,)}
 
     @property
     def any(self) -> bool:
@@ -254,13 +268,6 @@ class StrokeOptions:
         """Return whether the picture is straightened."""
         return any(value is not None for value in (self.rotate, self.shear, self.keystone, self.scale_to))
 
-    def refuse_alone(self) -> None:
-        """Raise SuppleError for what is said of strokes where there are none, and none are needed."""
-        loose = next((name for name in (*_OF_EACH, *_OF_ALL) if getattr(self, name)), None)
-        if loose is not None and not self.bends:
-            option = f"--{loose.replace('_', '-')}"
-            raise SuppleError(f"{option} is for strokes, and there are none: {_ONE_OF}, a --recipe, or leave it out")
-
     def to_fit(self) -> "Fit | None":
         """How a recipe fits another size; refuse what is said of a recipe where there is none."""
         found: list[Fit] = [fit for fit in self.fit if fit not in FRAMES]  # type: ignore[misc]
@@ -268,8 +275,6 @@ class StrokeOptions:
             raise SuppleError(f"--fit is given as {' and '.join(self.fit)}: leave one out")
         if found and self.recipe is None:
             raise SuppleError("--fit is for a recipe that was made for another size: give a --recipe, or leave it out")
-        if self.amount is not None and not (self.count or self.recipe):
-            raise SuppleError(f"--amount is for strokes, and there are none: {_ONE_OF}, a --recipe, or leave it out")
         return found[0] if found else None
 
     def _straighten(self, known: "Straighten | None") -> "Straighten | None":
@@ -285,305 +290,258 @@ class StrokeOptions:
         given: dict[str, Any] = {"rotate": self.rotate, "fit": framed[0] if framed else None}
         if self.shear is not None:
             wanted = "one number of degrees or two"
-            given["shear"] = [parse_number("--shear", part, wanted) for part in self.shear.split(",")]
+            given["shear"] = parse_numbers("--shear", self.shear, wanted)
         if self.scale_to is not None:
             wanted = "a width, or a width and a height, in whole pixels (1920 or 1920,1080, say)"
             given["scale_to"] = [parse_integer("--scale-to", part, wanted) for part in self.scale_to.split(",")]
         if self.keystone is not None:
             wanted = f"{_KEYSTONE}, the corners top left, top right, bottom right, bottom left"
-            points = [point.split(",") for point in self.keystone.split(":")]
-            if [len(point) for point in points] != [2] * 4:
+            given["keystone"] = [parse_numbers("--keystone", x, wanted, 2) for x in self.keystone.split(":")]
+            if len(given["keystone"]) != 4:
                 raise SuppleError(f"--keystone must be {wanted}, found {self.keystone!r}")
-            given["keystone"] = [[parse_number("--keystone", x, wanted) for x in point] for point in points]
         given = {name: value for name, value in given.items() if value is not None}
         return replace(known or Straighten(), **given) if given else known
 
-    def to_recipe(self, *, medium: "Callable[[Recipe], Medium] | None" = None, **how: Any) -> "Recipe":
-        """Read the recipe file, if one is given, and add the strokes, as they are in a picture.
+    def read(
+        self,
+        maps: MapOptions,
+        reading: "VolumeOptions",
+        arguments: Sequence[str],
+        source: str | os.PathLike[str],
+        *,
+        target: str | os.PathLike[str] | None = "",
+        **how: Any,
+    ) -> Edits:
+        """Return what a command line does to a source, whose landmarks and percentages are those of strokes.
 
-        ``medium`` returns that, from strokes with as many numbers; without it, landmarks are anywhere, and 100% is any
-        length: if there are such (``relative``), the recipe says only how many strokes there are. More is passed on to
-        `strokes_in`.
+        Without a ``target``, there are several sources: landmarks are then anywhere, and 100% is any length, so that
+        ``relative`` edits say only how many strokes there are. More is passed on to `edits_in`.
         """
+        from supple.files.jobs import Job
         from supple.files.places import Places
 
         places = Places(None, self.landmarks, self.percent_of)
-        recipe = self.strokes_in(places, **how)
-        self._relative = places.used
+        edits = self.edits_in(places, maps, reading, arguments, source, **how)
         if self.landmarks is not None and not places.used:
             raise SuppleError("--landmarks is for landmarks of strokes, and there are none: leave it out")
         if self.percent_of is not None and not places.scaled:
             raise SuppleError("--percent-of is for percentages of strokes, and there are none: leave it out")
-        if not places.used or medium is None:
-            return recipe
-        return self.strokes_in(Places(medium(recipe), self.landmarks, self.percent_of), **how)
+        if not places.used or target is None:
+            return edits
+        medium = Job(source, target, edits.recipe, volume=reading).medium  # by how many numbers points have
+        places = Places(medium, self.landmarks, self.percent_of)
+        return self.edits_in(places, maps, reading, arguments, source, **how)
 
-    def strokes_in(
+    def edits_in(
         self,
         places: "Places",
+        maps: MapOptions,
+        reading: "VolumeOptions",
+        arguments: Sequence[str],
+        source: str | os.PathLike[str],
         *,
-        world: bool = False,
-        empty: bool = False,
-        others: str = "",
-        place: Place = lambda: None,
-        convention: str | None = None,
-        ordered: Mapping[str, Sequence[str]] | None = None,
+        reference: str | None = None,
         frames: Frames | None = None,
+        empty: bool = False,
         window: bool = False,
-    ) -> "Recipe":
-        """Return the recipe, in which landmarks and percentages are those of ``places``.
+        points: bool = False,
+        back: bool = False,
+    ) -> Edits:
+        """Return the edits, in which landmarks and percentages are those of ``places``.
 
-        With ``world``, strokes are in millimetres. With ``empty``, there is something to do without strokes; ``others``
-        are the options that would do, too. ``place`` returns the convention of the volume that the strokes are for, as
-        `Geometry` has it; None without one. ``convention`` is that of tables of points that do not say it; instead,
-        ``ordered`` has the values of --convention, each of which is about what stands before it, and of the other
-        options that it may be about. ``frames`` is how the frames of a clip are typed. In a ``window``, strokes may
-        follow, so that a freeze may be the last one.
+        ``reference`` is the image on whose grid the maps end. ``frames`` is how the frames of a clip are typed. If it
+        is ``empty``, there is something to do without strokes and maps. In a ``window``, strokes may follow, so that a
+        freeze may be the last one. With ``points``, --convention may be about points that the command has beside
+        strokes; if they go ``back``, so may an --inverse before all maps.
         """
-        from supple.strokes import Recipe
+        from supple.strokes import Recipe, Stroke, last_freeze
 
-        found = self._mirrored(self._strokes(places, world, place, convention, ordered, frames), places)
-        strokes = [one.stroke for one in found]
-        space = next((one.space for one in found if one.space is not None), None)
-        if not strokes and self.recipe is None and not (empty or self.straightens):
-            raise SuppleError(f"nothing to do: give --grab X,Y:X,Y --radius R, {others or 'or '}--recipe FILE")
-        if self.straightens and not empty:
-            self.refuse_alone()
-        if self.recipe is None:
-            made = Recipe()
-        else:
-            from supple.files.recipes import read_recipe
-
-            made = read_recipe(self.recipe, frames=None if frames is None else frames.read, resolve=places.resolve)
-            if places.used and places.medium is not None and made.size is not None:
-                grid = places.medium.grid
-                if grid is None or made.size != grid.sizes:  # by which all would be scaled
-                    raise SuppleError(
-                        f"{self.recipe} was made for another size than {places.medium.name}, for which landmarks and "
-                        "percentages beside it are: leave it out, or them"
-                    )
-            if strokes and made.is_world and not world and space is None:
-                option = next(option for option, values in self.given.items() if values)
-                raise SuppleError(
-                    f"{self.recipe} is in {made.space} millimetres, and {option} in voxels: give --world if it is in "
-                    "millimetres too"
-                )
-            if world and made.space == "pixels":
-                raise SuppleError(f"--world is for points in millimetres, and {self.recipe} is in pixels: leave it out")
-        if space is not None:
-            if made.strokes and not made.is_world:
-                raise SuppleError(f"--pull is in {space} millimetres, and {self.recipe} is in {made.space or 'pixels'}")
-            known = place() if world else None
-            space = made.space if made.strokes else known if known in ("LPS", "RAS") else space  # type: ignore[assignment]
-            strokes = [one.in_space(space) for one in found]
-        own = len(made.strokes)
-        made = replace(made, strokes=(*made.strokes, *strokes), space=space or made.space)
-        if self.border is not None:
-            made = replace(made, border=_border(self.border))
-        if self.amount is not None:
-            made = replace(made, amount=_part("--amount", self.amount))
-        if self.freeze:
-            made = self._frozen(made, own, window)
-        elif self.freeze_width is not None and not self.matte:
-            raise SuppleError("--freeze-width is for a freeze mask, and there is none: give --freeze, or leave it out")
-        if self.border_profile is not None:
-            made = replace(made, border_profile=self.border_profile)
-        made = replace(made, straighten=self._straighten(made.straighten))
-        return made if self.on_fold is None else replace(made, on_fold=self.on_fold)
-
-    def _frozen(self, recipe: "Recipe", own: int, last: bool) -> "Recipe":
-        """Return the recipe with the freezes among its strokes, of which the first ``own`` are those of the file.
-
-        ``last`` says whether one may stand after all strokes.
-        """
-        from supple.strokes import Stroke, last_freeze
-
-        strokes, place, mask = [*recipe.strokes], 0, recipe.freeze
-        sizes, self._freezes = iter(getattr(self, "_sizes", ())), list[int]()
-        for option, text in in_order(self._arguments, self.given):
+        found = in_order(arguments, {**self.given, **maps.given})
+        place = convention_of(str(source), reading) if self.pull else None
+        how = {"convention": maps.coordinates, "place": place, "world": reading.world}
+        given = self._strokes(found, places, frames, how)
+        made = Recipe() if self.recipe is None else self._read_recipe(places, frames, world=reading.world)
+        self._check(given, made, reading, maps.coordinates is not None and not points)
+        spaces, space = [one.space for one in given if one.space is not None], made.space
+        if spaces and not made.strokes:
+            space = place if reading.world and place in ("LPS", "RAS") else spaces[0]  # type: ignore[assignment]
+        strokes, own, last = list[Stroke](), list[int](), ""
+        before, each, mask, placed = made.strokes, iter(given), made.freeze, Maps(reference)
+        for option, value in found:
+            if before and (option == "--recipe" or option in BRUSHES):
+                strokes, mask, before = [*strokes, *before], last_freeze(before) or mask, ()
             if option in BRUSHES:
-                place = max(place, own + len(strokes) - len(recipe.strokes)) + next(sizes)
-            elif option == "--recipe":
-                place = max(place, own + len(strokes) - len(recipe.strokes))
-                mask = last_freeze(strokes[:own]) or mask
+                both = next(each).in_space(space)
+                own += range(len(strokes), len(strokes) + len(both))
+                strokes += both
+                last = ""
             elif option == "--freeze":
-                if text == "none" and mask is None:
+                if value == "none" and mask is None:
                     raise SuppleError("--freeze none thaws what was frozen before it, and nothing was: leave it out")
-                mask = mask.freed if text == "none" and mask is not None else _freeze(text, self.freeze_width)
-                if place == 0:
-                    recipe = replace(recipe, freeze=None if text == "none" else mask)
-                    self._freezes.append(0)
-                    continue
-                if place == len(strokes) and not last:
-                    first = ", and before --recipe for its strokes" if own else ""
-                    raise SuppleError(
-                        f"--freeze {text} stands after all strokes, and holds none: give it before those that shall "
-                        f"move nothing there{first}"
-                    )
-                strokes.insert(place, Stroke.freeze(mask, ndim=strokes[0].ndim))
-                self._freezes.append(1)
-                place += 1
-        return replace(recipe, strokes=tuple(strokes))
+                mask = mask.freed if value == "none" and mask is not None else _freeze(value, self.freeze_width)
+                if strokes:
+                    strokes.append(Stroke.freeze(mask, ndim=strokes[0].ndim))
+                    last = value
+                else:  # before all of them
+                    made = replace(made, freeze=None if value == "none" else mask)
+            elif option != "--recipe":
+                placed.add(option, value, len(strokes), back=back)
+        if last and not window:
+            raise SuppleError(
+                f"--freeze {last} stands after all strokes, and holds none: give it before those that shall move "
+                "nothing there, and before --recipe for its strokes"
+            )
+        if not (self.any or placed or empty or reference is not None):
+            raise SuppleError(
+                "nothing to do: give --grab X,Y:X,Y --radius R, --field FILE, --affine FILE or --recipe FILE"
+            )
+        made = replace(
+            made,
+            strokes=tuple(strokes),
+            space=space,
+            border=made.border if self.border is None else _border(self.border),
+            border_profile=self.border_profile or made.border_profile,
+            amount=made.amount if self.amount is None else self.amount,
+            on_fold=self.on_fold or made.on_fold,
+            straighten=self._straighten(made.straighten),
+        )
+        return Edits(made, placed, tuple(own), places.used)
 
-    def _strokes(
-        self,
-        places: "Places",
-        world: bool,
-        place: Place,
-        convention: str | None,
-        others: Mapping[str, Sequence[str]] | None,
-        frames: Frames | None,
-    ) -> "list[_Given]":
-        """Return the strokes, in order."""
-        from supple.strokes import REACH
+    def _read_recipe(self, places: "Places", frames: Frames | None, *, world: bool) -> "Recipe":
+        from supple.files.recipes import read_recipe
 
-        if not any(getattr(self, option[2:]) for option in BRUSHES):
-            loose = [name for name in _OF_EACH if getattr(self, name)]
-            if loose:
-                option = f"--{loose[0].replace('_', '-')}"
-                raise SuppleError(f"{option} is for strokes given beside it: {_ONE_OF}, or leave it out")
-            return []
-        ordered = in_order(self._arguments, {**self.given, **(others or {})})
-        found = [one for one in ordered if one[0] in BRUSHES]
-        asked = iter([convention] * len(self.pull) if others is None else _conventions(ordered))
-        if not self.radius:
-            raise SuppleError(f"{found[0][0]} needs a --radius: how far it is felt, in pixels or millimetres")
-        count = len(found)
-        wanted = "a number of pixels or millimetres above 0, or a percentage"
-        if negative := [text for text in self.radius if text.strip().startswith("-")]:
-            raise SuppleError(f"--radius must be {wanted}, found {negative[0]!r}")
-        lengths = [repr(places.length("--radius", text, wanted)) for text in self.radius]
-        radii = _spread("--radius", lengths, count, wanted)
-        ratios: list[float | None] = [None] * count
-        if self.poisson:
-            ratios = [*_spread("--poisson", self.poisson, count, "a number up to 0.5, or -inf")]
-        scales = iter(_spread("--scales", self.scales, len(self.grab), "1, 2 or 3", "grab") or [1] * len(self.grab))
-        reaches: list[float | None] = [REACH] * count
-        if self.reach:
-            texts = ["inf" if x.strip().lower() == "none" else x for x in self.reach]
-            read = _spread("--reach", texts, count, "a number of radii from 1, or none")
-            reaches = [None if x == math.inf else x for x in read]
-        times: list[float | None] = [None] * count
-        if self.time_radius:
-            times = [*_spread("--time-radius", self.time_radius, count, "a number of frames above 0")]
-        flats = iter(_spread("--flat", self.flat, len(self.grab), _FLAT, "grab") or [0.0] * len(self.grab))
-        parts = [_part("--strength", text) for text in self.strength] or [1.0]
-        if len(parts) not in (1, count):
-            strokes = f"{count} strokes" if count != 1 else "one stroke"
-            raise SuppleError(f"--strength is given {len(parts)} times for {strokes}: give it once, or for each")
-        mattes = self._mattes(count)
-        made: list[_Given] = []
-        for i, (option, text) in enumerate(found):
-            brush = {"radius": radii[i], "poisson": ratios[i], "reach": reaches[i], "time_radius": times[i]}
-            if option == "--pull":
-                stroke, space = _pull(text, next(asked), place, world, brush, places)
-            else:
-                scale, flat = (next(scales), next(flats)) if option == "--grab" else (1, 0.0)
-                stroke = _stroke(option, text, frames, places, scales=scale, flat=flat, **brush)
-                space = None
-            if made and made[0].stroke.ndim != stroke.ndim:
-                first = f"{made[0].told} of {made[0].stroke.ndim}"
+        assert self.recipe is not None
+        made = read_recipe(self.recipe, frames=None if frames is None else frames.read, resolve=places.resolve)
+        if places.used and places.medium is not None and made.size is not None:
+            grid = places.medium.grid
+            if grid is None or made.size != grid.sizes:  # by which all would be scaled
                 raise SuppleError(
-                    f"{option} {text} has points of {stroke.ndim} numbers, and {first}: give all strokes as many"
+                    f"{self.recipe} was made for another size than {places.medium.name}, for which landmarks and "
+                    "percentages beside it are: leave it out, or them"
                 )
-            stroke = replace(stroke, matte=mattes[i], strength=parts[i % len(parts)])
-            made.append(_Given(f"{option} {text}", stroke, space))
-        placed = next((one for one in made if one.space is not None), None)
-        other = next((one for one in made if one.space is None), None)
-        if placed is not None and other is not None and not world:
+        if world and made.space == "pixels":
+            raise SuppleError(f"--world is for points in millimetres, and {self.recipe} is in pixels: leave it out")
+        return made
+
+    def _check(self, found: "Sequence[_Given]", made: "Recipe", reading: "VolumeOptions", convention: bool) -> None:
+        """Refuse strokes in voxels beside others in millimetres, and what is said of what is not given."""
+        if self.freeze_width is not None and not (self.freeze or self.matte):
+            raise SuppleError("--freeze-width is for a freeze mask, and there is none: give --freeze, or leave it out")
+        if convention and not self.pull:
+            raise SuppleError("--convention of points is of tables of --pull, and there are none: leave it out")
+        every = [*found]
+        if made.strokes or made.is_world:
+            every.append(_Given(self.recipe or "", made.strokes, made.space if made.is_world else None))
+        placed = next((one for one in every if one.space is not None), None)
+        other = next((one for one in every if one.space is None), None)
+        if placed and other and (not reading.world or other.told == self.recipe):
             raise SuppleError(
                 f"{placed.told} is in millimetres, and {other.told} is in voxels: give all points in millimetres, and "
                 "--world"
             )
+
+    def _strokes(
+        self,
+        found: Sequence[tuple[str, str]],
+        places: "Places",
+        frames: Frames | None,
+        how: dict[str, Any],
+    ) -> "list[_Given]":
+        """Return the strokes of the command line, in order, with their mirror images; ``how`` is for `read_pull`."""
+        from supple.files.freezing import read_matte
+        from supple.strokes import REACH
+
+        found = [one for one in found if one[0] in BRUSHES]
+        names = () if found else _OF_EACH if self.bends else (*_OF_EACH, *_OF_ALL)
+        if loose := next((name for name in names if getattr(self, name) not in (None, ())), None):
+            given = "" if loose in _OF_EACH else ", a --recipe"
+            option = f"--{loose.replace('_', '-')}"
+            raise SuppleError(f"{option} is for strokes, and there are none: {_ONE_OF}{given}, or leave it out")
+        if found and not self.radius:
+            raise SuppleError(f"{found[0][0]} needs a --radius: how far it is felt, in pixels or millimetres")
+
+        @cache
+        def matte(option: str, path: str) -> "Freeze | None":
+            return None if path == "none" else read_matte(path, width=self.freeze_width)
+
+        def radius(option: str, text: str) -> float:
+            if text.strip().startswith("-"):  # of a percentage, which the message would give in pixels
+                raise SuppleError(f"{option} must be {_LENGTH}, found {text!r}")
+            return places.length(option, text, _LENGTH)
+
+        count = len(found)
+        reaches: list[float | None] = _spread("--reach", self.reach, count, _reach, REACH)
+        brushes = zip(
+            _spread("--radius", self.radius, count, radius, 0.0),
+            _spread("--poisson", self.poisson, count, _numbers("a number up to 0.5, or -inf"), None),
+            reaches,
+            _spread("--time-radius", self.time_radius, count, _numbers("a number of frames above 0"), None),
+            _spread("--strength", self.strength, count, _part, 1.0),
+            _spread("--matte", self.matte, count, matte, None),
+            strict=True,
+        )
+        grabs = zip(
+            _spread("--scales", self.scales, len(self.grab), partial(parse_integer, wanted="1, 2 or 3"), 1, "grab"),
+            _spread("--flat", self.flat, len(self.grab), _numbers("a part of the radius from 0 to 0.9"), 0.0, "grab"),
+            strict=True,
+        )
+        line = None if self.mirror is None else _line(self.mirror, places)
+        made: list[_Given] = []
+        for (option, value), (size, poisson, reach, time_radius, strength, weights) in zip(found, brushes, strict=True):
+            told = f"{option} {value}"
+            brush = {"radius": size, "poisson": poisson, "reach": reach, "time_radius": time_radius}
+            space = None
+            if option == "--pull":
+                stroke, space = _pull(value, places, how, brush)
+            else:
+                if option == "--grab":
+                    brush["scales"], brush["flat"] = next(grabs)
+                stroke = _stroke(option, value, frames, places, brush)
+            if made and made[0].ndim != stroke.ndim:
+                first = f"{made[0].told} of {made[0].ndim}"
+                raise SuppleError(f"{told} has points of {stroke.ndim} numbers, and {first}: give all strokes as many")
+            stroke = replace(stroke, matte=weights, strength=strength)
+            made.append(_Given(told, (stroke,) if line is None else self._mirrored(told, stroke, *line), space))
         return made
 
-    def _mirrored(self, found: "list[_Given]", places: "Places") -> "list[_Given]":
-        """Return strokes with their mirror images."""
-        self._sizes = [1] * len(found)
-        if self.mirror is None:
-            return found
-        wanted = "X, a column of pixels, or X,Y:X,Y, two points of a line (256 or 250,0:262,511, say)"
-        plain = places.plain("--mirror", self.mirror)
-        ends = [[parse_number("--mirror", x, wanted) for x in end.split(",")] for end in plain.split(":")]
-        x, y, a, b = (
-            (*ends[0], 0.0, *ends[0], 1.0) if [*map(len, ends)] == [1] else (*chain(*ends), *[math.nan] * 4)[:4]
-        )
-        if [*map(len, ends)] not in ([1], [2, 2]) or (x, y) == (a, b) or not math.isfinite(x + y + a + b):
-            raise SuppleError(f"--mirror must be {wanted}, found {self.mirror!r}")
-        more = (0.0,) * (found[0].stroke.ndim - 2)
-        made: list[list[_Given]] = []
-        for one in found:
-            if one.stroke.matte is not None and x != a and y != b:
-                raise SuppleError(
-                    f"--mirror must be upright or level for a stroke with a --matte, which is mirrored too, found "
-                    f"{self.mirror!r}"
-                )
-            try:
-                both = one.stroke.symmetric((x, y, *more), (b - y, x - a, *more))
-            except SuppleError as error:
-                raise SuppleError(f"{one.told}: {error}") from None
-            if len(both) == 1 and both[0].is_still and not one.stroke.is_still:
-                raise SuppleError(
-                    f"{one.told} starts on the line of --mirror {self.mirror}, and its mirror image drags it back: "
-                    "drag it along the line, or begin beside it"
-                )
-            made.append([replace(one, stroke=stroke) for stroke in both])
-        self._sizes = list(map(len, made))
-        return [*chain(*made)]
-
-    def _mattes(self, count: int) -> "list[Freeze | None]":
-        """Return the matte of each stroke; a file is read once."""
-        if len(self.matte) not in (0, 1, count):
+    def _mirrored(self, told: str, stroke: "Stroke", x: float, y: float, a: float, b: float) -> "tuple[Stroke, ...]":
+        """Return a stroke with its mirror image, of the line from (x, y) to (a, b)."""
+        more = (0.0,) * (stroke.ndim - 2)
+        with _prefixed(told):
+            both = stroke.symmetric((x, y, *more), (b - y, x - a, *more))
+        if len(both) == 1 and both[0].is_still and not stroke.is_still:
             raise SuppleError(
-                f"--matte is given {len(self.matte)} times for {count} strokes: give it once, or for each"
+                f"{told} starts on the line of --mirror {self.mirror}, and its mirror image drags it back: drag it "
+                "along the line, or begin beside it"
             )
-        from supple.files.freezing import read_matte
-
-        width = _width(self.freeze_width)
-        known = {path: None if path == "none" else read_matte(path, width=width) for path in self.matte}
-        return [known[path] for path in self.matte] * (count if len(self.matte) == 1 else 1) or [None] * count
+        return both
 
 
 @dataclass(frozen=True)
 class _Given:
-    """A stroke of the command line, and its space if it says by itself that it is in millimetres."""
+    """What an option or a recipe makes, and its space if it says by itself that it is in millimetres."""
 
     told: str
-    stroke: "Stroke"
-    space: "CoordinateSpace | None"
+    strokes: "tuple[Stroke, ...]"
+    space: "CoordinateSpace | None" = None
 
-    def in_space(self, space: "CoordinateSpace | None") -> "Stroke":
-        """Return the stroke in LPS or RAS."""
+    @property
+    def ndim(self) -> int:
+        return self.strokes[0].ndim
+
+    def in_space(self, space: "CoordinateSpace | None") -> "tuple[Stroke, ...]":
+        """Return the strokes in LPS or RAS."""
         if self.space in (None, space):
-            return self.stroke
+            return self.strokes
 
         def turned(v: tuple[float, ...]) -> tuple[float, ...]:
             return (-v[0], -v[1], v[2])
 
-        return self.stroke.mapped(turned, turned)
-
-
-def _conventions(found: Sequence[tuple[str, str]]) -> list[str | None]:
-    """Return the --convention of each --pull: the one after it, unless it is about a --field or an --affine between."""
-    made: list[str | None] = []
-    about = False
-    for option, value in found:
-        if option == "--pull":
-            made.append(None)
-            about = True
-        elif option in ("--field", "--affine"):
-            about = False
-        elif option == "--convention" and about:
-            if made[-1] is not None:
-                raise SuppleError("a --pull has two --convention: leave out one")
-            if value.lower() not in COORDINATES:
-                raise SuppleError(f"--convention of a --pull must be LPS, RAS or index, found {value!r}")
-            made[-1] = COORDINATES[value.lower()]
-    return made
+        return tuple(stroke.mapped(turned, turned) for stroke in self.strokes)
 
 
 def _pull(
-    text: str, convention: str | None, place: Place, world: bool, brush: dict[str, float | None], places: "Places"
+    text: str, places: "Places", how: dict[str, Any], brush: dict[str, Any]
 ) -> "tuple[Stroke, CoordinateSpace | None]":
     """Read a pull from two files, named with a colon between them."""
     from supple.files.landmarks import read_pull
@@ -593,66 +551,71 @@ def _pull(
     both = [pair for pair in names if all(map(os.path.exists, pair))] or names
     if not both or not all(both[-1]):
         raise SuppleError(f"--pull must be FROM:TO, two files of points (before.csv:after.csv, say), found {text!r}")
-    try:
+    with _prefixed(f"--pull {text}"):
         if (stroke := places.pull(*both[-1], brush)) is not None:
             return stroke, None
-        return read_pull(*both[-1], convention=convention, place=place(), world=world, **brush)  # type: ignore[arg-type]
-    except SuppleError as error:
-        raise SuppleError(f"--pull {text}: {error}") from None
+        before, after = both[-1]
+        return read_pull(before, after, **how, **brush)
 
 
-def _stroke(
-    option: str,
-    text: str,
-    frames: Frames | None,
-    places: "Places",
-    *,
-    scales: float,
-    flat: float,
-    **brush: float | None,
-) -> "Stroke":
+def _stroke(option: str, text: str, frames: Frames | None, places: "Places", brush: dict[str, Any]) -> "Stroke":
     """Read a stroke from the command line."""
     from supple.strokes import Stroke
 
     wrong = SuppleError(f"{option} must be {_WANTED[option]}, found {text!r}")
+    plain = places.plain(option, text)
+    plain = plain if frames is None else frames.plain(option, plain)
     try:
-        plain = places.plain(option, text)
-        plain = plain if frames is None else frames.plain(option, plain)
         at, *rest = [[float(x) for x in part.split(",")] for part in plain.split(":")]
-        if frames is not None and frames.first is not None and len(at) == 3:
-            for point in (at, *rest) if option == "--grab" else (at,):
-                point[2:] = [t - frames.first for t in point[2:]]
-    except SuppleError:
-        raise
     except ValueError:
         raise wrong from None
-    parts = [len(part) for part in (at, *rest)]
-    n = len(at)
+    n, parts = len(at), list(map(len, rest))
     shapes = {
-        "--grab": [[n] * max(2, len(parts))],
-        "--twist": [[n, 1], [3, 1, 3]],
-        "--scale": [[n, 1]],
-        "--pinch": [[n, 1], [n, 1, n]],
-        "--push": [[2] * max(2, len(parts) - 1) + [1]],
+        "--grab": [[n] * max(1, len(parts))],
+        "--twist": [[1]] if n == 2 else [[1], [1, 3]],
+        "--scale": [[1]],
+        "--pinch": [[1], [1, n]],
+        "--push": [[2] * max(1, len(parts) - 1) + [1]] if n == 2 else [],
     }
-    if option == "--twist" and n == 2 and len(parts) == 3:
-        raise SuppleError(f"--twist {text}: a twist in a picture has no axis: leave it out (X,Y:ANGLE)")
-    points = (at, *rest) if option in ("--grab", "--push") else (at,)
+    points = {"--grab": (at, *rest), "--push": (at, *rest[:-1])}.get(option, (at,))
     if n not in (2, 3) or parts not in shapes[option] or not all(math.isfinite(x) for point in points for x in point):
         raise wrong
-    known = {**brush, "scales": int(scales) if float(scales).is_integer() else scales}
-    try:
+    if frames is not None and frames.first is not None and n == 3:
+        for point in points:
+            point[2] -= frames.first
+    with _prefixed(f"{option} {text}"):
         if option == "--grab":
-            return Stroke.grab(at, path=rest, flat=flat, **known)  # type: ignore[arg-type]
+            return Stroke.grab(at, path=rest, **brush)
         if option == "--push":
             if brush.pop("time_radius") is not None:
                 raise SuppleError("--time-radius is for strokes with a time, and a push has none: leave it out")
-            return Stroke.push([at, *rest[:-1]], by=rest[-1][0], **brush)  # type: ignore[arg-type]
+            return Stroke.push(points, by=rest[-1][0], **brush)
         amount = {"angle" if option == "--twist" else "factor": rest[0][0]}
         axis = tuple(rest[1]) if len(rest) > 1 else None
-        return Stroke(brush=option[2:], at=tuple(at), axis=axis, **amount, **known)  # type: ignore[arg-type]
+        return Stroke(brush=option[2:], at=tuple(at), axis=axis, **amount, **brush)  # type: ignore[arg-type]
+
+
+@contextlib.contextmanager
+def _prefixed(told: str) -> Iterator[None]:
+    """Begin errors with the option that they are about."""
+    try:
+        yield
     except SuppleError as error:
-        raise SuppleError(f"{option} {text}: {error}") from None
+        raise SuppleError(f"{told}: {error}") from None
+
+
+def _line(text: str, places: "Places") -> tuple[float, float, float, float]:
+    """Read two points of a line, or the column of an upright one."""
+    wanted = "X, a column of pixels, or X,Y:X,Y, two points of a line (256 or 250,0:262,511, say)"
+    plain = places.plain("--mirror", text)
+    plain = plain if "," in plain else f"{plain},0:{plain},1"
+    try:
+        (x, y), (a, b) = (map(float, end.split(",")) for end in plain.split(":"))
+    except ValueError:
+        x = y = a = b = 0.0
+    if (x, y) == (a, b) or not math.isfinite(x + y + a + b):
+        raise SuppleError(f"--mirror must be {wanted}, found {text!r}")
+    return x, y, a, b
 
 
 def _border(text: str) -> "Border":
@@ -660,51 +623,46 @@ def _border(text: str) -> "Border":
     word = text.strip().lower()
     if word in ("auto", "none"):
         return "auto" if word == "auto" else None
-    wanted = "auto, none, a width, or one for each axis"
-    if not {"auto", "none"}.isdisjoint(part.strip().lower() for part in text.split(",")):
-        raise SuppleError(f"--border must be {wanted}, found {text!r}")
-    widths = tuple(parse_number("--border", part, wanted) for part in text.split(","))
+    widths = parse_numbers("--border", text, "auto, none, a width, or one for each axis")
     return widths[0] if len(widths) == 1 else widths
 
 
-def _width(text: str | None) -> float | None:
-    return None if text is None else parse_number("--freeze-width", text, "a number of pixels or millimetres above 0")
-
-
-def _freeze(text: str, width: str | None) -> "Freeze":
+def _freeze(text: str, width: float | None) -> "Freeze":
     """Read the freeze mask that the command line names."""
     from supple.files.freezing import read_freeze
 
-    name, colon, last = text.rpartition(":")
-    labelled = (
-        bool(colon and name) and not os.path.exists(text) and (last.lstrip("-").isdigit() or os.path.exists(name))
-    )
-    if labelled and not last.lstrip("-").isdigit():
+    name, _, last = text.rpartition(":")
+    is_label = last.lstrip("-").isdigit()
+    if not name or os.path.exists(text) or not (is_label or os.path.exists(name)):
+        return read_freeze(text, width=width)
+    if not is_label:
         raise SuppleError(f"--freeze FILE:LABEL needs the number of a label ({shown(name)}:3, say), found {last!r}")
-    path, label = (name, int(last)) if labelled else (text, None)
-    try:
-        return read_freeze(path, label=label, width=_width(width))
-    except SuppleError as error:
-        raise SuppleError(str(error).replace("the freeze mask's width", "--freeze-width")) from None
+    return read_freeze(name, label=int(last), width=width)
 
 
-def _part(option: str, text: str) -> float:
-    """Read a part from the command line, in percent or as a number."""
-    from supple.strokes import LEAST, MOST
-
-    wanted = "a part of the strokes, from -100% to 200%, or from -1 to 2"
-    percent = text.strip().endswith("%")
-    part = parse_number(option, text.strip().removesuffix("%"), wanted) / (100 if percent else 1)
-    if not LEAST <= part <= MOST:
-        raise SuppleError(f"{option} must be {wanted}, found {text!r}")
-    return part
+def _reach(option: str, text: str) -> float | None:
+    if text.strip().lower() in ("none", "inf"):
+        return None
+    return parse_number(option, text, "a number of radii from 1, or none")
 
 
-def _spread(name: str, given: Sequence[str], count: int, wanted: str, what: str = "stroke") -> list[float]:
+def _numbers(wanted: str) -> Callable[[str, str], float]:
+    return partial(parse_number, wanted=wanted)
+
+
+def _spread(
+    name: str,
+    given: Sequence[str],
+    count: int,
+    read: Callable[[str, str], Value],
+    usual: Value,
+    what: str = "stroke",
+) -> list[Value]:
+    """Return the values of an option for each of the strokes, of which it is given once or for each."""
     if given and not count:
         raise SuppleError(f"{name} is for a --{what}, and there is none: leave it out")
     if len(given) not in (0, 1, count):
         many = f"{count} {what}s" if count > 1 else f"one {what}"
         raise SuppleError(f"{name} is given {len(given)} times for {many}: give it once, or once for each")
-    values = [parse_number(name, text, wanted) for text in given]
+    values = [read(name, text) for text in given] or [usual]
     return values * count if len(values) == 1 else values

@@ -2,27 +2,22 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
-from cyclopts import Group, Parameter
+from cyclopts import Parameter
 
-from supple.cli.console import current, told, warn_of_software
-from supple.cli.options import RUNNING, RunOptions, VideoOptions, VolumeArguments, parse_integer
+from supple.cli.console import told, warn_of_software
+from supple.cli.options import RUNNING, WRITING, RunOptions, VideoOptions, VolumeArguments, parse_integer, read, text
 from supple.cli.options_maps import MapOptions, Reference
 from supple.cli.options_strokes import StrokeOptions
-from supple.errors import SuppleError, counting
+from supple.errors import counting
 
 What = Literal["grid", "stretch", "axes", "residual", "iterations", "slice", "sheet"]
 Device = Literal["auto", "cpu", "gpu"]
 
-WRITING = Group("Writing", sort_key=3)
-
-_RUN = RunOptions()
-_STROKES = StrokeOptions()
-_MAPS = MapOptions()
-_VIDEO = VideoOptions()
-_VOLUME = VolumeArguments()
+_pixel = partial(parse_integer, wanted="a whole number of pixels")
 
 
 def plot(
@@ -31,16 +26,16 @@ def plot(
     /,
     *,
     what: Annotated[What, Parameter(group=WRITING)] = "grid",
-    frame: Annotated[str | None, Parameter(group=WRITING, metavar="K", allow_leading_hyphen=True)] = None,
-    x: Annotated[str | None, Parameter(group=WRITING, metavar="X", allow_leading_hyphen=True)] = None,
-    y: Annotated[str | None, Parameter(group=WRITING, metavar="Y", allow_leading_hyphen=True)] = None,
+    frame: Annotated[str | None, text("K", group=WRITING)] = None,
+    x: Annotated[Any, read(_pixel, "X", group=WRITING)] = None,
+    y: Annotated[Any, read(_pixel, "Y", group=WRITING)] = None,
     plane: Annotated[str | None, Parameter(group=WRITING, metavar="PLANE[:MM]")] = None,
-    strokes: StrokeOptions = _STROKES,
-    maps: MapOptions = _MAPS,
+    strokes: StrokeOptions = StrokeOptions(),
+    maps: MapOptions = MapOptions(),
     reference: Reference = None,
-    volume: VolumeArguments = _VOLUME,
-    video: VideoOptions = _VIDEO,
-    options: RunOptions = _RUN,
+    volume: VolumeArguments = VolumeArguments(),
+    video: VideoOptions = VideoOptions(),
+    options: RunOptions = RunOptions(),
 ) -> None:
     """Plot the deformation of a picture, a video or a volume.
 
@@ -65,37 +60,29 @@ def plot(
     reference
         Another image, on whose grid the result is, such as the fixed image of a registration.
     """
-    console = current()
-    console.started(**options.asked(), file=source)
-    if (convention := maps.coordinates) is not None and not strokes.pull:
-        raise SuppleError("--convention of points is of tables of --pull, and there are none: leave it out")
+    console = options.start(source)
     from supple.cli.warp import picture_facts
     from supple.files.jobs import Job
     from supple.files.options import GridOptions
     from supple.files.plots import plot_file
 
     typed, reading = video.frames(source), volume.to_reading()
-    recipe = strokes.to_recipe(
-        medium=lambda recipe: Job(source, "", recipe, volume=reading).medium, world=volume.world,
-        empty=maps.any or reference is not None, others="--field FILE, --affine FILE or ",
-        place=lambda: volume.place_of(source), convention=convention, frames=typed,
-    )  # fmt: skip
-    elements = maps.to_maps(console.arguments, recipe, strokes, reference=reference)
+    edits = strokes.read(maps, reading, console.arguments, source, reference=reference, frames=typed)
     grid = None if reference is None else GridOptions(reference)
     with counting(typed.first):
         deformation = plot_file(
             source,
             target,
-            recipe,
+            edits.recipe,
             what,
             frame=None if frame is None else typed.read("--frame", frame),
-            x=None if x is None else parse_integer("--x", x, "a whole number of pixels"),
-            y=None if y is None else parse_integer("--y", y, "a whole number of pixels"),
+            x=x,
+            y=y,
             clip=video.to_clip(),
             force=options.force,
             progress=console.terminal,
             fit=strokes.to_fit(),
-            maps=elements.placed(console, Job(source, "", recipe, volume=reading, grid=grid)).maps,
+            maps=edits.maps.placed(console, Job(source, "", edits.recipe, volume=reading, grid=grid)).maps,
             volume=reading,
             plane=plane,
             reference=reference,
@@ -111,7 +98,7 @@ def demo(
     /,
     *,
     device: Annotated[Device, Parameter(group=RUNNING)] = "cpu",
-    options: RunOptions = _RUN,
+    options: RunOptions = RunOptions(),
 ) -> None:
     """Write a gallery of examples, with a page to open in a browser.
 
@@ -122,10 +109,9 @@ def demo(
     device
         Where to render volumes: cpu, gpu, or auto (the GPU if there is one).
     """
-    console = current()
+    console = options.start()
     from supple.examples.gallery import write_gallery
 
-    console.started(**options.asked())
     warn_of_software(console, device)
     written = None if options.quiet or options.json else lambda path: console.say(f"wrote {path}")
     page = write_gallery(folder, force=options.force, device=device, written=written)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import glob
-import math
 import os
 from collections.abc import Sequence
 from dataclasses import asdict, replace
@@ -11,17 +10,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
-from supple.cli.console import STREAM, Console, File, Terminated, about, current, one_line, say_convention
+from supple.cli.console import STREAM, Console, File, Terminated, about, one_line
 from supple.cli.console import told as told_of
-from supple.cli.options import RUNNING, Labels, SamplingOptions, VolumeArguments, WorkerOptions, whole
+from supple.cli.options import RUNNING, Labels, RunOptions, SamplingOptions, VolumeArguments, WorkerOptions, whole
 from supple.cli.options_maps import (
-    OTHERS,
     MapOptions,
     Maps,
     OutputOptions,
-    describe_grid,
-    grid_facts,
-    say_background,
+    output_facts,
+    say_output,
 )
 from supple.cli.options_strokes import StrokeOptions
 from supple.errors import SuppleError, shown
@@ -31,14 +28,6 @@ if TYPE_CHECKING:
     from supple.files.plans import Planned
     from supple.files.stores import WarpedStore
     from supple.files.tasks import Running
-
-
-_SAMPLING = SamplingOptions()
-_STROKES = StrokeOptions()
-_MAPS = MapOptions()
-_OUTPUT = OutputOptions()
-_VOLUME = VolumeArguments()
-_WORKERS = WorkerOptions()
 
 
 def warp_stored(
@@ -79,11 +68,7 @@ def warp_stored(
         console.note(f"{shown(target)}: {what}, of a job that was interrupted")
     if stored.labels:
         console.note(f"{shown(target)}: the label images {', '.join(stored.labels)} are bent with it")
-    if stored.grid is not None:
-        units = "mm" if stored.geometry is not None and stored.geometry.convention != "array" else "pixels"
-        console.note(f"{shown(target)} is written on {describe_grid(grid_facts(stored.grid), units)}")
-    say_background(console, target, source, stored.background)
-    say_convention(console, job.volume.world, stored.geometry, source)
+    say_output(console, stored, stored.grid, target, source, job.volume.world)
     return stored
 
 
@@ -91,13 +76,7 @@ def refer(console: Console, job: Job, maps: Maps) -> Job:
     """Return a job on a store, with the maps of the command, on its grid; tell of them."""
     from supple.files.plans import open_source
 
-    if not maps:
-        return job
-    grid = open_source(job).grid
-    job = replace(job, maps=maps.read(grid))
-    if any(each.map.ndim != grid.ndim for each in job.maps):  # by which pages may become a volume
-        grid = open_source(job).grid
-    return replace(job, maps=maps.on(console, grid, shown(job.source), job.grid))
+    return maps.placed(console, job, lambda job: open_source(job).grid)
 
 
 def _pair(paths: Sequence[str]) -> tuple[str, str]:
@@ -147,36 +126,25 @@ def _facts(stored: WarpedStore) -> dict[str, Any]:
         **{name: getattr(stored, name) for name in names},
         "spacing": grid.spacing,
         "tolerance": stored.tolerance,
-        "error": _finite(stored.error),
+        "error": stored.error,
         **told_of(stored.deformation),
     }
-    if stored.grid is not None:
-        facts["grid"] = grid_facts(stored.grid)
     if stored.field is not None:
-        facts["field"] = {key: _finite(value) for key, value in asdict(stored.field).items()}
-    if stored.background is not None:
-        facts["background"] = stored.background
-    if stored.deformation.maps:
-        facts |= {"folded": stored.folded, "outside": stored.outside, "unsolved": stored.unsolved}
-    return facts
-
-
-def _finite(value: Any) -> Any:
-    """Return a value as JSON holds it: an error that is infinite becomes null."""
-    return None if isinstance(value, float) and not math.isfinite(value) else value
+        facts["field"] = asdict(stored.field)
+    return facts | output_facts(stored)
 
 
 def plan(
     source: Annotated[str, Parameter(name="IN")],
     /,
     *,
-    strokes: StrokeOptions = _STROKES,
-    maps: MapOptions = _MAPS,
-    output: OutputOptions = _OUTPUT,
-    sampling: SamplingOptions = _SAMPLING,
+    strokes: StrokeOptions = StrokeOptions(),
+    maps: MapOptions = MapOptions(),
+    output: OutputOptions = OutputOptions(),
+    sampling: SamplingOptions = SamplingOptions(),
     labels: Labels = False,
-    volume: VolumeArguments = _VOLUME,
-    workers: WorkerOptions = _WORKERS,
+    volume: VolumeArguments = VolumeArguments(),
+    workers: WorkerOptions = WorkerOptions(),
     json: Annotated[bool, Parameter(group=RUNNING)] = False,
     quiet: Annotated[bool, Parameter(group=RUNNING)] = False,
     threads: Annotated[int | None, whole(group=RUNNING)] = None,
@@ -200,30 +168,27 @@ def plan(
     from supple.files.jobs import Job
     from supple.files.plans import plan_file
 
-    console = current()
-    console.started(quiet=quiet, threads=threads, file=source)
+    console = RunOptions(quiet=quiet, threads=threads).start(source)
     grid = output.to_grid()
     reading = volume.to_reading(labels=labels)
-    recipe = strokes.to_recipe(
-        medium=lambda recipe: Job(source, source, recipe, volume=reading).medium,
-        world=volume.world, empty=maps.any or maps.dangling or grid is not None, others=OTHERS,
-        place=lambda: volume.place_of(source), ordered=maps.conventions,
-    )  # fmt: skip
-    elements = maps.to_maps(console.arguments, recipe, strokes, output)
-    known, outside = sampling.to_sampling(bool(elements) or output.onto is not None)
-    job = Job(source, source, recipe, known, outside, volume=reading, fit=strokes.to_fit(), grid=grid)
-    job = refer(console, job, elements)
+    edits = strokes.read(
+        maps, reading, console.arguments, source, target=source, reference=output.onto, empty=grid is not None
+    )
+    known, outside = sampling.to_sampling(bool(edits.maps) or output.onto is not None)
+    job = Job(source, source, edits.recipe, known, outside, volume=reading, fit=strokes.to_fit(), grid=grid)
+    job = refer(console, job, edits.maps)
     with counted(console.terminal, "blocks") as tell:
         found = plan_file(job, workers.to_running(), tell)
     if json:
-        facts = {"file": source, **asdict(found)}
-        console.tell({**facts, "error": _finite(found.error)})
+        console.tell({"file": source, **asdict(found)})
     else:
         print(_described(source, found))
 
 
 def _described(name: str, found: Planned) -> str:
     from rich.filesize import decimal
+
+    from supple.cli.describe import listed
 
     each = " x ".join(map(str, found.block))
     copies = f"{found.copied} of them copies of what no stroke reaches ({decimal(found.copied_bytes)} uncompressed)"
@@ -235,4 +200,4 @@ def _described(name: str, found: Planned) -> str:
         "memory": f"{decimal(found.memory)} for each process, which works on {found.tasks} blocks at a time",
         "error": f"{found.error:.2g} px at most, of the inverse map",
     }
-    return "\n".join([f"{shown(name)}:", *(f"  {key:<12}{value}" for key, value in lines.items())])
+    return listed(name, lines)

@@ -7,20 +7,19 @@ from typing import Annotated, Any
 
 from cyclopts import Parameter
 
-from supple.cli.console import current
 from supple.cli.options import (
     RUNNING,
     VIDEO,
     Frames,
     RunOptions,
+    Texts,
     memory_option,
     parse_first,
     parse_number,
     read,
+    text,
 )
 from supple.errors import SuppleError, counting
-
-_RUN = RunOptions()
 
 
 def track(
@@ -28,10 +27,10 @@ def track(
     target: Annotated[str, Parameter(name="OUT")],
     /,
     *,
-    at: Annotated[list[str], Parameter(metavar="X,Y,K", allow_leading_hyphen=True, show_default=False)] = (),  # type: ignore[assignment]
+    at: Annotated[Texts, text("X,Y,K")] = (),
     first_frame: Annotated[Any, read(parse_first, "N|files", group=VIDEO)] = None,
     memory: Annotated[float | None, memory_option(group=RUNNING)] = None,
-    options: RunOptions = _RUN,
+    options: RunOptions = RunOptions(),
 ) -> None:
     """Track points through a video, for --track of supple warp.
 
@@ -52,8 +51,7 @@ def track(
     memory
         Memory for frames on the way to the first one, in gigabytes (default 2).
     """
-    console = current()
-    console.started(**options.asked(), file=source)
+    console = options.start(source)
     from supple.engine.progress import counted
     from supple.files.options import GB
     from supple.files.tracking import track, write_track

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from typing import Annotated
 
 from cyclopts import Parameter
 
-from supple.cli.console import current
-from supple.cli.options import VIDEO, VOLUME, Labels, TimeOptions, VolumeArguments, whole
+from supple.cli.options import VIDEO, VOLUME, Labels, RunOptions, TimeOptions, VolumeArguments, text, whole
 from supple.cli.options_maps import MapOptions
 from supple.cli.options_strokes import StrokeOptions
 from supple.errors import SuppleError
 
-_STROKES, _MAPS, _TIME, _VOLUME = StrokeOptions(), MapOptions(), TimeOptions(), VolumeArguments()
+Beside = Annotated[str | None, Parameter(group=VOLUME, metavar="FILE")]
 
 
 def view(
@@ -21,17 +20,17 @@ def view(
     *,
     serve: bool = False,
     port: Annotated[int, whole()] = 0,
-    frame: Annotated[str | None, Parameter(group=VIDEO, metavar="K", allow_leading_hyphen=True)] = None,
-    strokes: StrokeOptions = _STROKES,
-    maps: MapOptions = _MAPS,
-    time: TimeOptions = _TIME,
+    frame: Annotated[str | None, text("K", group=VIDEO)] = None,
+    strokes: StrokeOptions = StrokeOptions(),
+    maps: MapOptions = MapOptions(),
+    time: TimeOptions = TimeOptions(),
     labels: Labels = False,
-    points: Annotated[str | None, Parameter(group=VOLUME, metavar="FILE")] = None,
-    fixed: Annotated[str | None, Parameter(group=VOLUME, metavar="FILE")] = None,
-    fixed_points: Annotated[str | None, Parameter(group=VOLUME, metavar="FILE")] = None,
-    segmentation: Annotated[str | None, Parameter(group=VOLUME, metavar="FILE")] = None,
-    label_colours: Annotated[str | None, Parameter(group=VOLUME, metavar="FILE")] = None,
-    volume: VolumeArguments = _VOLUME,
+    points: Beside = None,
+    fixed: Beside = None,
+    fixed_points: Beside = None,
+    segmentation: Beside = None,
+    label_colours: Beside = None,
+    volume: VolumeArguments = VolumeArguments(),
 ) -> None:
     """Open a window to bend a picture, video or volume by hand.
 
@@ -68,19 +67,16 @@ def view(
     from supple.viewer.window.launch import show
     from supple.viewer.window.options import ViewOptions
 
-    current().started(quiet=False, threads=None)
-    strokes.refuse_alone()
-    convention = maps.coordinates
-    typed = time.frames(source)
-    given: dict[str, Any] = {"world": volume.world, "place": lambda: volume.place_of(source), "convention": convention}
-    reading = volume.to_reading(labels=labels)
-    given |= {"frames": typed, "window": True, "medium": lambda recipe: Job(source, "", recipe, volume=reading).medium}
-    recipe = strokes.to_recipe(**given) if strokes.any else None
+    console = RunOptions().start()
+    typed, reading = time.frames(source), volume.to_reading(labels=labels)
+    edits = strokes.read(
+        maps, reading, console.arguments, source, reference=fixed, frames=typed, empty=True, window=True, points=True
+    )
+    recipe = edits.recipe if strokes.any else None
     if volume.world and recipe is None:
         raise SuppleError("--world is about the points of strokes, and there are none: leave it out")
     onto = None if fixed is None else GridOptions(fixed, strokes=True)
-    elements = maps.to_maps(current().arguments, recipe, strokes, reference=fixed)
-    placed = elements.placed(current(), Job(source, "", Recipe(), volume=reading, grid=onto)).maps
+    placed = edits.maps.placed(console, Job(source, "", Recipe(), volume=reading, grid=onto)).maps
     scale = time.time_scale or (recipe and recipe.time_scale) or 1.0
     options = ViewOptions(
         time_scale=scale,
@@ -88,7 +84,7 @@ def view(
         maps=tuple(placed),
         fit=strokes.to_fit(),
         points=points,
-        convention=convention,
+        convention=maps.coordinates,
         fixed=fixed,
         fixed_points=fixed_points,
         segmentation=segmentation,

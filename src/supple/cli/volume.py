@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import math
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -13,17 +12,19 @@ from cyclopts import Group, Parameter
 from supple.cli.console import STREAM, current, naming, say_convention, told, warn_of_software
 from supple.cli.options import (
     RunOptions,
+    Texts,
     VideoOptions,
     VolumeArguments,
     number,
+    options_of,
     parse_number,
     parse_numbers,
     parse_three,
     read,
     whole,
 )
-from supple.cli.options_maps import MapOptions, Maps, Reference
-from supple.cli.options_strokes import StrokeOptions
+from supple.cli.options_maps import MapOptions, Reference
+from supple.cli.options_strokes import Edits, StrokeOptions
 from supple.engine.devices import workers
 from supple.errors import SuppleError, spelling
 
@@ -35,15 +36,16 @@ if TYPE_CHECKING:
     from supple.render.box import Clip, Plane
     from supple.render.camera import Camera
     from supple.space.geometry import Geometry
-    from supple.strokes import Fit, Recipe
+    from supple.strokes import Fit
 
 CAMERA = Group("Camera", sort_key=2)
 LOOK = Group("Look", sort_key=3)
 _DEGREES = "a number of degrees"
+_NAMING = naming(rate="--rate", table="--table", legend="--legend")
 
 
 def _range(option: str, text: str) -> tuple[float, ...]:
-    return parse_numbers(option, text, 2, "two values LO,HI")
+    return parse_numbers(option, text, "two values LO,HI", 2)
 
 
 def _box(option: str, text: str) -> Clip:
@@ -82,8 +84,7 @@ def _colour(option: str, text: str, verb: str = "must be") -> tuple[float, float
     return red / 255, green / 255, blue / 255
 
 
-@Parameter(name="*", group=CAMERA)
-@dataclass(kw_only=True, eq=False, repr=False)
+@options_of(CAMERA)
 class CameraOptions:
     """Where the camera stands.
 
@@ -114,8 +115,7 @@ class CameraOptions:
     up: Annotated[Any, read(parse_three, "X,Y,Z", show_default="0,0,1")] = (0.0, 0.0, 1.0)
 
 
-@Parameter(name="*", group=LOOK)
-@dataclass(kw_only=True, eq=False, repr=False)
+@options_of(LOOK)
 class LookOptions:
     """Options for the look of the volume.
 
@@ -188,7 +188,7 @@ class LookOptions:
     clip: Annotated[Any, read(_box, "X0:X1,Y0:Y1,Z0:Z1")] = None
     crop: Annotated[Any, read(_box, "X0:X1,Y0:Y1,Z0:Z1")] = None
     plane: Annotated[Any, read(_plane, "X,Y,Z:DX,DY,DZ")] = None
-    mesh: Annotated[list[str], Parameter(metavar="FILE[:#RRGGBB]", show_default=False)] = ()  # type: ignore[assignment]
+    mesh: Annotated[Texts, Parameter(metavar="FILE[:#RRGGBB]")] = ()
     table: bool = False
     largest: bool = False
     projection: Literal["none", "maximum", "minimum", "average"] = "none"
@@ -227,22 +227,18 @@ def _mesh(text: str) -> MeshFile:
     return MeshFile(path, _colour("--mesh", digits, "must end in")) if path else MeshFile(text)
 
 
-_STROKES, _RUN, _VOLUME, _VIDEO = StrokeOptions(), RunOptions(), VolumeArguments(), VideoOptions()
-_CAMERA, _LOOK, _MAPS = CameraOptions(), LookOptions(), MapOptions()
-
-
 def render(
     source: Annotated[str, Parameter(name="VOLUME")],
     target: Annotated[str, Parameter(name="OUT")],
     /,
     *,
-    strokes: StrokeOptions = _STROKES,
-    camera: CameraOptions = _CAMERA,
-    look: LookOptions = _LOOK,
-    maps: MapOptions = _MAPS,
+    strokes: StrokeOptions = StrokeOptions(),
+    camera: CameraOptions = CameraOptions(),
+    look: LookOptions = LookOptions(),
+    maps: MapOptions = MapOptions(),
     reference: Reference = None,
-    volume: VolumeArguments = _VOLUME,
-    options: RunOptions = _RUN,
+    volume: VolumeArguments = VolumeArguments(),
+    options: RunOptions = RunOptions(),
 ) -> None:
     """Render a picture of a volume, original or deformed.
 
@@ -255,39 +251,30 @@ def render(
     reference
         Render the volume as warped to the grid of another one, such as the fixed image of a registration.
     """
-    console = current()
+    console = options.start(source)
     from supple.engine.progress import counted
     from supple.files.options import GridOptions
     from supple.files.renders import render_file
     from supple.media.medium import Medium
     from supple.render.camera import Camera
 
-    console.started(**options.asked(), file=source)
     warn_of_software(console, look.device)
-    convention = maps.coordinates
-    given: dict[str, Any] = {"world": volume.world, "place": lambda: volume.place_of(source), "convention": convention}
-    strokes.refuse_alone()
     reading = volume.to_reading()
     medium = Medium(source, "volume", reading.layout, reading.series, reading.irregular)
-    recipe = strokes.to_recipe(medium=lambda recipe: medium, **given) if strokes.any else None
-    fit = strokes.to_fit()
-    elements = maps.to_maps(console.arguments, recipe, strokes, reference=reference)
-    with spelling(naming(rate="--rate", table="--table", legend="--legend")):
-        render = look.to_render(Camera(**vars(camera)), convention)
-    if convention is not None and not (strokes.pull or look.mesh):
-        raise SuppleError("--convention is of tables of --pull and of meshes, and there are none: leave it out")
+    edits = strokes.read(
+        maps, reading, console.arguments, source, reference=reference, empty=True, points=bool(look.mesh)
+    )
+    recipe = edits.recipe if strokes.any else None
+    with spelling(_NAMING):
+        render = look.to_render(Camera(**vars(camera)), maps.coordinates)
     if reading.world and recipe is None:
         raise SuppleError("--world is about the points of strokes, and there are none: leave it out")
     grid = None if reference is None else GridOptions(reference)
-    placed = elements.on(console, medium.outline.grid, medium.name, grid) if elements else ()
-    with (
-        spelling(naming(rate="--rate", table="--table", legend="--legend")),
-        counted(console.terminal) as tell,
-        workers() as who,
-    ):
+    placed = edits.maps.on(console, medium.outline.grid, medium.name, grid) if edits.maps else ()
+    with spelling(_NAMING), counted(console.terminal) as tell, workers() as who:
         scene = render_file(
-            source, target, recipe, options=render, volume=reading, force=options.force, tell=tell, fit=fit,
-            maps=placed, reference=reference,
+            source, target, recipe, options=render, volume=reading, force=options.force, tell=tell,
+            fit=strokes.to_fit(), maps=placed, reference=reference,
         )  # fmt: skip
     say_convention(console, reading.world, scene.geometry, source)
     if render.transfer is None and scene.labels is not None and not console.quiet:
@@ -307,7 +294,7 @@ def render(
                 "step": scene.step,
                 "minimum": low,
                 "maximum": high,
-                "error": scene.error if math.isfinite(scene.error) else None,
+                "error": scene.error,
                 **facts,
             }
         )
@@ -320,12 +307,12 @@ def points(
     *,
     on: Annotated[str, Parameter(metavar="FILE")],
     refer_to: Annotated[str | None, Parameter(metavar="SERIES")] = None,
-    strokes: StrokeOptions = _STROKES,
-    maps: MapOptions = _MAPS,
+    strokes: StrokeOptions = StrokeOptions(),
+    maps: MapOptions = MapOptions(),
     reference: Reference = None,
-    volume: VolumeArguments = _VOLUME,
-    video: VideoOptions = _VIDEO,
-    options: RunOptions = _RUN,
+    volume: VolumeArguments = VolumeArguments(),
+    video: VideoOptions = VideoOptions(),
+    options: RunOptions = RunOptions(),
 ) -> None:
     """Move landmarks, a mesh or contours by a deformation: as what they mark moves, from the input to the output.
 
@@ -347,41 +334,29 @@ def points(
     refer_to
         The DICOM series that a moved structure set refers to, such as the bent one: a folder, or one of its slices.
     """
-    console = current()
+    console = options.start(source)
     from supple.cli.jobs import piped
     from supple.files.landmarks import move_points
 
-    console.started(**options.asked(), file=source)
     if options.json and target == STREAM:
         raise SuppleError("--json writes to standard output, and so does -: leave one out")
-    convention = maps.coordinates
-    from supple.files.jobs import Job
-
-    recipe = strokes.to_recipe(
-        medium=lambda recipe: Job(on, "", recipe, volume=volume.to_reading()).medium,
-        world=volume.world, empty=maps.any, others="--field FILE, --affine FILE or ",
-        place=lambda: volume.place_of(on), convention=convention, frames=video.frames(on),
-    )  # fmt: skip
-    elements = maps.to_maps(console.arguments, recipe, strokes, reference=reference, points=True)
-    deformation, geometry = _deformation(on, recipe, elements, volume.to_reading(), video, strokes.to_fit(), source)
-    seen = None if reference is None else elements.output(deformation.grid)
+    reading = volume.to_reading()
+    edits = strokes.read(
+        maps, reading, console.arguments, on, reference=reference, frames=video.frames(on), points=True, back=True
+    )
+    deformation, geometry = _deformation(on, edits, reading, video, strokes.to_fit(), source)
+    seen = None if reference is None else edits.maps.output(deformation.grid)
     with piped((source, target), console, ".csv") as (read, written):
         moved = move_points(
             read, written, deformation, geometry, reference=seen,
-            inverse=elements.back, convention=convention, refer_to=refer_to, force=options.force,
+            inverse=edits.maps.back, convention=maps.coordinates, refer_to=refer_to, force=options.force,
         )  # fmt: skip
     say_convention(console, volume.world, geometry, on)
     worst = float(moved.error.max(initial=0.0))
     if options.json:
         known = {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in asdict(moved).items()}
-        known["error"] = [x if math.isfinite(x) else None for x in known["error"]]
-        facts: dict[str, Any] = {
-            **known,
-            "largest_error": worst if math.isfinite(worst) else None,
-            "source": "-" if source == STREAM else source,
-            "target": target,
-        }
-        console.tell(facts)
+        name = "-" if source == STREAM else source
+        console.tell({**known, "largest_error": worst, "source": name, "target": target})
         return
     unit = "px" if geometry is None else "mm"
     furthest = float(moved.displaced.max(initial=0.0))
@@ -391,7 +366,7 @@ def points(
 
 
 def _deformation(
-    on: str, recipe: Recipe, elements: Maps, reading: Reading, video: VideoOptions, fit: Fit | None, points: str
+    on: str, edits: Edits, reading: Reading, video: VideoOptions, fit: Fit | None, points: str
 ) -> tuple[Deformation, Geometry | None]:
     """Strokes and maps on a volume, a picture or a clip; and where a volume's voxels lie."""
     from supple.deformation import Deformation
@@ -406,6 +381,7 @@ def _deformation(
     from supple.media.files import is_store
     from supple.strokes import fit_recipe
 
+    recipe, elements = edits.recipe, edits.maps
     moving = Path(on).with_suffix(".mp4") if recipe.strokes and recipe.strokes[0].ndim == 3 else on
     job = Job(
         on, moving, recipe, volume=reading, grid=None if elements.reference is None else GridOptions(elements.reference)

@@ -1,26 +1,22 @@
 """The command that bends files."""
 
 import glob
-import math
 import os
 import re
 from collections.abc import Callable, Collection
-from copy import copy
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from cyclopts import Group, Parameter
+from cyclopts import Parameter
 
 from supple.cli.console import (
     STREAM,
     File,
     SomeFailedError,
     about,
-    current,
     one_line,
-    say_convention,
     told,
 )
 from supple.cli.options import (
@@ -28,22 +24,24 @@ from supple.cli.options import (
     SAMPLING,
     VIDEO,
     VOLUME,
+    WRITING,
     Labels,
     RunOptions,
     SamplingOptions,
+    SeveralOptions,
     TrackOptions,
     VideoOptions,
     VolumeArguments,
     WorkerOptions,
+    WritingOptions,
+    text,
     whole,
 )
 from supple.cli.options_maps import (
-    OTHERS,
     MapOptions,
     OutputOptions,
-    describe_grid,
-    grid_facts,
-    say_background,
+    output_facts,
+    say_output,
 )
 from supple.cli.options_strokes import StrokeOptions
 from supple.engine.devices import workers
@@ -53,54 +51,36 @@ if TYPE_CHECKING:
     from supple.deformation import Deformation, Report
     from supple.files.jobs import Warped
     from supple.files.stores import WarpedStore
-    from supple.media.medium import Medium
     from supple.strokes import Recipe
 
 Warper = Literal["auto", "cpu", "cuda"]
 Tell = Callable[[str], None]
 Pair = tuple[Path, Path]
 
-WRITING = Group("Writing", sort_key=3)
-SEVERAL = Group("Several files", sort_key=6)
-
-_RUN = RunOptions()
-_SAMPLING = SamplingOptions()
-_STROKES = StrokeOptions()
-_VIDEO = VideoOptions()
-_TRACKS = TrackOptions()
-_VOLUME = VolumeArguments()
-_MAPS = MapOptions()
-_OUTPUT = OutputOptions()
-_WORKERS = WorkerOptions()
-
 
 def warp(
     *paths: Annotated[str, Parameter(name="IN... OUT", required=True)],
-    strokes: StrokeOptions = _STROKES,
-    maps: MapOptions = _MAPS,
-    output: OutputOptions = _OUTPUT,
-    sampling: SamplingOptions = _SAMPLING,
+    strokes: StrokeOptions = StrokeOptions(),
+    maps: MapOptions = MapOptions(),
+    output: OutputOptions = OutputOptions(),
+    sampling: SamplingOptions = SamplingOptions(),
     linear_light: Annotated[bool, Parameter(group=SAMPLING)] = False,
     clamp: Annotated[bool | None, Parameter(group=SAMPLING, negative="--no-clamp")] = None,
-    quality: Annotated[int | None, whole("1..100", group=WRITING)] = None,
-    lossless: Annotated[bool, Parameter(group=WRITING)] = False,
+    writing: WritingOptions = WritingOptions(),
     compression: Annotated[str | None, Parameter(group=WRITING, metavar="HOW")] = None,
     fast: Annotated[bool, Parameter(group=WRITING)] = False,
-    save_recipe: Annotated[str | None, Parameter(group=WRITING, metavar="FILE")] = None,
-    frames: Annotated[str | None, Parameter(group=VIDEO, metavar="A-B", allow_leading_hyphen=True)] = None,
-    frame: Annotated[str | None, Parameter(group=VIDEO, metavar="K", allow_leading_hyphen=True)] = None,
+    frames: Annotated[str | None, text("A-B", group=VIDEO)] = None,
+    frame: Annotated[str | None, text("K", group=VIDEO)] = None,
     hold: Annotated[int, whole(group=VIDEO)] = 0,
-    video: VideoOptions = _VIDEO,
-    tracks: TrackOptions = _TRACKS,
+    video: VideoOptions = VideoOptions(),
+    tracks: TrackOptions = TrackOptions(),
     labels: Labels = False,
     save_field: Annotated[str | None, Parameter(group=VOLUME, metavar="FILE")] = None,
-    volume: VolumeArguments = _VOLUME,
-    recursive: Annotated[bool, Parameter(group=SEVERAL)] = False,
-    skip_existing: Annotated[bool, Parameter(group=SEVERAL)] = False,
-    jobs: Annotated[int | None, whole(group=SEVERAL)] = None,
-    running: WorkerOptions = _WORKERS,
+    volume: VolumeArguments = VolumeArguments(),
+    several: SeveralOptions = SeveralOptions(),
+    running: WorkerOptions = WorkerOptions(),
     device: Annotated[Warper, Parameter(group=RUNNING)] = "cpu",
-    options: RunOptions = _RUN,
+    options: RunOptions = RunOptions(),
 ) -> None:
     """Bend pictures, videos and volumes.
 
@@ -120,17 +100,11 @@ def warp(
     clamp
         Keep values within the range of the input, which cubic filters leave beside sharp edges (default for volumes
         and pictures of floats).
-    quality
-        Quality of JPEG (default that of the input, or 95), WebP and AVIF (90), from 1 to 100.
-    lossless
-        Write WebP and AVIF without loss, and videos with FFV1 or --codec. PNG and TIFF are always lossless.
     compression
         How TIFF and PNG are compressed: none, deflate, lzw or packbits (TIFF), or a level of deflate, 0 to 9. A TIFF
         keeps its own.
     fast
         Write lossless pictures as fast as their format allows; they are larger.
-    save_recipe
-        Write the strokes to a recipe (JSON), for --recipe.
     frames
         Bend frames A to B of a video, and pass on the others as they are. Strokes count in the whole video.
     frame
@@ -143,46 +117,36 @@ def warp(
     save_field
         Also write the displacement field of the inverse map, for SimpleITK, ANTs and 3D Slicer: NIfTI, NRRD,
         MHA or .h5; or beside a Zarr store, of both directions of the map, as OME-Zarr: .zarr.
-    recursive
-        Also enter the folders within a folder; what is written has the same folders.
-    skip_existing
-        Leave files that are there already as they are, and go on with the others.
-    jobs
-        How many pictures are bent at the same time (as many as there are processors, and memory for).
     device
         Where to compute: cpu (which auto is), or cuda (an NVIDIA GPU, for pictures and volumes).
     """
-    console = current()
+    console, save_recipe = options.start(paths[0] if len(paths) == 2 else ""), writing.save_recipe
     from supple.arrays import check_device
-    from supple.cli.jobs import Crew, check_recipe_file, check_several, make_folders, pair, piped, summary
+    from supple.cli.jobs import Crew, make_folders, pair, piped, summary
     from supple.engine.sampling import FINEST
     from supple.files.jobs import Job
-    from supple.files.recipes import write_recipe
+    from supple.files.recipes import check_recipe_name, write_recipe
     from supple.media.files import is_store
     from supple.media.medium import holds_volumes
 
     if len(paths) < 2:
         raise SuppleError("give a file to read and a name to write to: supple warp IN OUT --grab …")
-    console.started(**options.asked(), file=paths[0] if len(paths) == 2 else "")
     grid, typed = output.to_grid(), video.frames(paths[0])
     reading = volume.to_reading(labels=labels, save_field=save_field)
-    given: dict[str, Any] = {
-        "world": volume.world, "empty": maps.any or maps.dangling or grid is not None, "others": OTHERS,
-        "place": lambda: volume.place_of(paths[0]), "ordered": maps.conventions, "frames": typed,
-    }  # fmt: skip
+    edits_of = partial(
+        strokes.read, maps, reading, console.arguments,
+        reference=output.onto, frames=typed, empty=grid is not None,
+    )  # fmt: skip
     alone = len(paths) == 2 and paths[0] != STREAM and not os.path.isdir(paths[0]) and not glob.has_magic(paths[0])
 
-    def medium_of(pair: tuple[Any, Any], recipe: "Recipe") -> "Medium":
-        return Job(*pair, recipe, volume=reading).medium
-
-    recipe = strokes.to_recipe(medium=partial(medium_of, (paths[0], paths[-1])) if alone else None, **given)
+    edits = edits_of(paths[0], target=paths[-1] if alone else None)
     for option, value in {"--track": tracks.track, "--save-recipe": save_recipe}.items():
-        if value is not None and strokes.relative and not alone:
+        if value is not None and edits.relative and not alone:
             raise SuppleError(f"{option} is for one file where strokes are at landmarks or in percent: leave one out")
     if strokes.mirror is not None and tracks.track is not None:
         raise SuppleError("--mirror is of strokes that stay, and --track moves them: leave one out")
-    recipe = tracks.followed(recipe, strokes.count, paths, video.to_clip().memory, typed)
-    elements = maps.to_maps(console.arguments, recipe, strokes, output)
+    elements = edits.maps
+    recipe = tracks.followed(edits.recipe, edits.own, paths, video.to_clip().memory, typed)
     if elements and save_recipe is not None:
         raise SuppleError("--save-recipe is for strokes alone, which --field and --affine are not: leave it out")
     if 1e-9 <= sampling.tolerance < FINEST:
@@ -199,8 +163,8 @@ def warp(
     elsewhere = bool(elements) or output.onto is not None or recipe.straighten is not None
     known, outside = sampling.to_sampling(elsewhere, linear_light)
     template = Job(
-        paths[0], paths[-1], recipe, known, outside, clamp, quality, lossless, device, options.force, shot,
-        reading, strokes.to_fit(), grid=grid, compression="fast" if fast else compression,
+        paths[0], paths[-1], recipe, known, outside, clamp, writing.quality, writing.lossless, device, options.force,
+        shot, reading, strokes.to_fit(), grid=grid, compression="fast" if fast else compression,
     )  # fmt: skip
     if fast and compression is not None:
         raise SuppleError("--fast is a compression, and so is what --compression names: give one of them")
@@ -208,14 +172,12 @@ def warp(
         raise SuppleError("--json and the picture cannot both go to standard output: leave --json out, or name a file")
     if not paths[-1]:
         raise SuppleError("cannot write '': name a file, or a folder, last")
-    if save_recipe and save_field and os.path.realpath(save_recipe) == os.path.realpath(save_field):
-        raise SuppleError(f"{save_recipe} cannot be both the recipe and the field: give one another name")
+    if save_recipe is not None:
+        check_recipe_name(save_recipe, force=options.force)
     if any(map(is_store, paths)):
         from supple.cli.stores import warp_stored
 
-        check_several(False, options.force, recursive=recursive, skip_existing=skip_existing, jobs=jobs)
-        if save_recipe is not None:
-            check_recipe_file(save_recipe, [(Path(paths[0]), Path(paths[-1]))], options.force)
+        several.check(False, options.force)
         stored = warp_stored(console, paths, template, elements, running.to_running(), json=options.json)
         if save_recipe is not None:
             write_recipe(save_recipe, _kept(recipe, stored, reading.world), force=options.force)
@@ -233,19 +195,16 @@ def warp(
     if single:
         pairs, many = [(Path(paths[0]), Path(paths[1]))], False
     else:
-        pairs, many, left = pair(paths[:-1], paths[-1], recursive=recursive)
-    check_several(many, options.force, recursive=recursive, skip_existing=skip_existing, jobs=jobs)
+        pairs, many, left = pair(paths[:-1], paths[-1], recursive=several.recursive)
+    several.check(many, options.force)
     marks = strokes.landmarks
     if many and marks is not None and os.path.isfile(marks) and not marks.lower().endswith(".xml"):
         raise SuppleError(
             f"--landmarks {marks} is of one picture, and there are several: give a folder with a file for each, or a "
             "pattern ('marks/*.pts')"
         )
-    there = [target for _, target in pairs if skip_existing and target.exists()]
+    there = [target for _, target in pairs if several.skip_existing and target.exists()]
     pairs = [both for both in pairs if both[1] not in there]
-    if save_recipe is not None:
-        check_recipe_file(save_recipe, pairs, options.force)
-
     kept: set[Recipe] = set()
     files = {job: File(shown(job[0]), shown(job[1]), many) for job in pairs}
 
@@ -253,9 +212,8 @@ def warp(
         with about(files[pair]):
             with workers() as who, piped(pair, console) as (source, target):
                 job = replace(template, source=source, target=target)
-                if strokes.relative and not alone:
-                    own = copy(strokes).to_recipe(medium=partial(medium_of, (source, target)), **given)
-                    job = replace(job, recipe=own)
+                if edits.relative and not alone:
+                    job = replace(job, recipe=edits_of(source, target=target).recipe)
                 if elements:
                     job.check()  # what is refused is not told of before
                     job = elements.placed(console, job)
@@ -265,11 +223,7 @@ def warp(
             if options.json:
                 known = {"input": "-"} if str(pair[0]) == STREAM else {}
                 console.tell({**_facts_of(pair, made), **used, **known, "device": str(who)})
-            if job.grid is not None and made.grid is not None:
-                units = "mm" if made.grid.ndim == 3 else "pixels"
-                console.note(f"{shown(pair[1])} is written on {describe_grid(grid_facts(made.grid), units)}")
-            say_background(console, pair[1], pair[0], made.background)
-            say_convention(console, reading.world, made.geometry, pair[0])
+            say_output(console, made, None if grid is None else made.grid, pair[1], pair[0], reading.world)
 
     lost: set[Pair] = set()
 
@@ -296,8 +250,8 @@ def warp(
                 elements.read(first)  # a file of maps that cannot be read ends all jobs
         make_folders(pairs)
         # Clips and volumes one at a time: each has work for all cores.
-        crew = min(len(pairs), threads()) if kinds == {"picture"} else 1
-        failures = Crew(max(crew if jobs is None else min(len(pairs), jobs), 1)).work(pairs, do, console, failed)
+        crew = threads() if kinds == {"picture"} else 1
+        failures = Crew(max(min(len(pairs), several.jobs or crew), 1)).work(pairs, do, console, failed)
         if len(pairs) > 1 or left or there:
             console.note(summary(pairs, [source for source, _ in lost], len(there), paths[-1], left))
     else:
@@ -382,15 +336,7 @@ def _facts_of(pair: Pair, made: "Warped") -> dict[str, Any]:
         facts |= {"tolerance": made.tolerance, "error": made.error}
         facts |= {"moves": len(made.deformations) > 1} if made.kind == "clip" else {}
         facts |= told(*made.deformations, own=made.own)
-    if made.background is not None:
-        facts["background"] = made.background
-    if made.grid is not None:
-        facts["grid"] = grid_facts(made.grid)
-    if made.deformation.maps:
-        facts |= {"folded": made.folded, "outside": made.outside, "unsolved": made.unsolved}
-    if not math.isfinite(facts["error"]):
-        facts["error"] = None
-    return facts
+    return facts | output_facts(made)
 
 
 def picture_facts(job: Pair, deformation: "Deformation", report: "Report") -> dict[str, Any]:

@@ -10,7 +10,7 @@ from typing import Any
 
 from supple.errors import JSON, SuppleError, shown, spelling
 from supple.files.options import PathLike
-from supple.media.files import check_output, replacing
+from supple.media.files import check_output, is_store, replacing
 from supple.media.image.formats import SUFFIXES as PICTURES
 from supple.media.suffixes import CLIPS, CLIPS_OUT, VOLUMES, VOLUMES_OUT, suffix_of
 from supple.media.timecode import PATTERN
@@ -56,7 +56,7 @@ def read_recipe(
 
 def check_recipe_name(path: PathLike, *, force: bool = False) -> None:
     """Raise SuppleError for a name that is one of an image, a video or a volume, or that cannot be written."""
-    if is_media_name(path):
+    if is_media_name(path) or is_store(path):
         name, suffix = shown(path), suffix_of(path)
         stem = name[: len(name) - len(suffix)]
         raise SuppleError(f"cannot write {name}: a recipe is JSON, and none is written as {suffix}: use {stem}.json")

@@ -133,17 +133,14 @@ class RenderOptions:
     def __post_init__(self) -> None:
         check_options(self.mode, self.projection, self.device, self.silhouettes, self.shadows)
         choice("what", self.what, WHATS)
-        if self.projection != "none" and (self.transfer is not None or self.save_transfer is not None):
-            text = f"a projection ({self.projection}) is grey, between the values of density, and has no transfer"
-            raise SuppleError(f"{text} function: leave it out")
-        if self.projection != "none" and self.crop is not None:
-            text = f"a projection ({self.projection}) is of all values along a ray: use clip instead of crop"
-            raise SuppleError(text)
-        if self.projection != "none" and not self.shaded:
-            raise SuppleError(f"a projection ({self.projection}) has no light: leave unshaded out")
-        for name in ("silhouettes", "shadows"):
-            if getattr(self, name) and (self.projection != "none" or not self.shaded):
-                raise SuppleError(f"{name} are of shaded surfaces: leave unshaded and projection out, or {name}")
+        told = f"a projection ({self.projection}) is of all values along a ray, in grey"
+        if self.projection != "none":
+            names = ("transfer", "save_transfer", "crop", "silhouettes", "shadows")
+            given = [argument(name) for name in names if getattr(self, name)] + ["unshaded"] * (not self.shaded)
+            if given:
+                raise SuppleError(f"{told}: leave {given[0]} out")
+        if not self.shaded and (self.silhouettes or self.shadows):
+            raise SuppleError("silhouettes and shadows are of shaded surfaces: leave unshaded out, or them")
         for name, pixels in zip(("height", "width"), self.size, strict=True):
             integer(name, pixels, "a number of pixels from 1 to 16384", 1, 16384)
         integer("supersampling", self.supersampling, "a number of rays along a pixel's side, from 1 to 8", 1, 8)
@@ -369,15 +366,10 @@ def render_file(
     given = open_volume(source, reading)
     check_upright(given.geometry, given.name, "a rendering")
     scene = scene_of(given, recipe, known, world=reading.world, fit=fit, maps=maps, reference=reference)
-    if given.samples.dtype.kind == "f" and not np.isfinite(given.samples).any():
-        raise SuppleError(f"nothing is seen of {given.name}: none of its values is a finite number")
     if scene.is_empty:
         low, high = scene.range
-        if known.crop is not None:
-            text = f"nothing is seen of {given.name}: the box of crop holds no visible value, choose another"
-            raise SuppleError(text)
-        text = f"nothing is seen of {given.name}: its values go from {low:g} to {high:g}, and the transfer function and"
-        raise SuppleError(f"{text} density leave all of them out: choose others")
+        text = f"nothing is seen of {given.name}: its values go from {low:g} to {high:g}, and the transfer function,"
+        raise SuppleError(f"{text} density and crop leave all of them out: choose others")
     if isinstance(known.transfer, str) and known.transfer in HOUNSFIELD and scene.range[0] >= 0:
         told = f"{known.transfer} is of Hounsfield units, where air is -1000 and water 0"
         low, high = scene.range
