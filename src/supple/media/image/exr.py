@@ -21,7 +21,7 @@ import numpy as np
 
 from supple.errors import listing, need
 from supple.media.files import PathLike, head_of, unreadable, unwritable
-from supple.media.image.formats import EXR_MAGIC, Array
+from supple.media.image.formats import EXR_MAGIC, Array, damaged
 
 Box = tuple[int, int, int, int]  # x and y of the first pixel, and of that after the last
 
@@ -196,17 +196,13 @@ def _file(module: Any, path: PathLike, header_only: bool) -> Any:
         with silence(r".*\(EXR_ERR"), contextlib.redirect_stdout(said):
             file = module.File(os.fspath(path), separate_channels=True, header_only=header_only)
     except (RuntimeError, ValueError, TypeError, MemoryError) as error:
-        raise _damaged(path, str(error).splitlines()[0]) from error
+        raise damaged(path, str(error).splitlines()[0]) from error
     finally:
         if rest := re.sub(r"(?m)^Warning: .*\n", "", said.getvalue()):
             sys.stdout.write(rest)
     if not file.parts:
-        raise _damaged(path, said.getvalue().strip().rpartition(" - ")[2] or "it has no parts")
+        raise damaged(path, said.getvalue().strip().rpartition(" - ")[2] or "it has no parts")
     return file
-
-
-def _damaged(path: PathLike, why: str) -> Exception:
-    return unreadable(path, f"it is damaged, cut short or of a kind that is not supported ({why})")
 
 
 def _box(window: Any) -> Box:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, NoReturn
@@ -11,7 +13,7 @@ import numpy.typing as npt
 import pyvips
 
 from supple.errors import SuppleError, shown
-from supple.media.files import PathLike, first_bytes, unwritable
+from supple.media.files import PathLike, first_bytes, unreadable, unwritable
 
 Array = npt.NDArray[Any]
 
@@ -54,7 +56,7 @@ TIFF = Format("TIFF", (".tif", ".tiff"), ("tiff",), saver="tiffsave", limit=10**
               options={"compression": "deflate"})
 WEBP = Format("WebP", (".webp",), ("webp",), saver="webpsave", limit=16_383, grey=False,
               quality=90, lossless=("lossless", "exact"), options={"smart_subsample": True})
-AVIF = Format("AVIF", (".avif",), saver="heifsave", limit=16_384, bits=12, grey=False,
+AVIF = Format("AVIF", (".avif",), ("heif",), saver="heifsave", limit=16_384, bits=12, grey=False,
               quality=90, lossless=("lossless",),  # effort 4 takes six times as long for 7 %
               options={"compression": "av1", "subsample_mode": "off", "effort": 3})
 EXR_MAGIC = b"v/1\x01"
@@ -76,7 +78,7 @@ FORMATS = (
            alpha=False, options={"format": "jp2", "pred": "dwt53"}, pixel_formats=_WHOLE),  # lossless
     Format("PNM", (".pam", ".pbm", ".pnm"), ("ppm",), _PNM),
     Format("GIF", (".gif",), ("gif",)),
-    Format("HEIF", (".heic", ".heif"), ("heif",)),
+    Format("HEIF", (".heic", ".heif")),
     Format("JPEG XL", (".jxl",), ("jxl",)),
     Format("PSD", (".psd", ".psb")),
     RAW,
@@ -159,6 +161,14 @@ def wrapped(array: Array, meaning: str, bits: int) -> Any:
     return image.copy(interpretation=meaning)
 
 
+def of_pixels(pixels: Array, bits: int, extra: int = 0, meaning: str = "") -> Any:
+    """Return decoded pixels as an image of libvips that says their bits; ``extra`` channels are no colours."""
+    channels = pixels.shape[2] if pixels.ndim == 3 else 1
+    image = wrapped(np.ascontiguousarray(pixels), meant(pixels.dtype, channels - extra, meaning), 32)
+    image.set_type(pyvips.GValue.gint_type, "bits-per-sample", bits)
+    return image
+
+
 def settings(form: Format, array: Array, bits: int, quality: int | None, lossless: bool) -> dict[str, Any]:
     """Return the settings of a libvips saver."""
     chosen = {**form.options, **dict.fromkeys(form.lossless, lossless)}
@@ -196,6 +206,21 @@ def divided(pixels: Array) -> Array:
     np.divide(colours, opacity, out=colours, where=opacity > 0)
     colours = np.rint(np.minimum(colours, white)) if pixels.dtype.kind in "iu" else colours
     return np.concatenate([colours.astype(pixels.dtype), pixels[..., -1:]], axis=-1)
+
+
+def codec_of(path: PathLike, head: bytes) -> tuple[str, str] | None:
+    """Return FFmpeg's codec for an image, by its first bytes, and its format; TGA, without a signature, by its name."""
+    for known in FORMATS:
+        for pattern, codec in known.magic.items():
+            if re.match(pattern, head):
+                return codec, known.name
+    return ("targa", "TGA") if os.fspath(path).lower().endswith(".tga") else None
+
+
+def damaged(path: PathLike, why: str = "") -> SuppleError:
+    """Return an error for a file that cannot be decoded, with a library's reason, if it gives one."""
+    what = "it is damaged, cut short or of a kind that is not supported" + (f" ({why})" if why else "")
+    return unreadable(path, what, "give a whole copy of it, or convert it, to PNG or TIFF for instance")
 
 
 def is_exr(path: PathLike) -> bool:

@@ -177,11 +177,11 @@ class Page:
         odd = inverted or lab or self.photometric in (MASK, _MOSAIC)
         return usual and self.planes == 1 and 1 not in self.tiff.extra and not odd
 
-    def decoded(self, read: Callable[[Any, int], Array]) -> tuple[Array, int]:
-        """Return all samples, of shape (H, W) or (H, W, C), in grey, RGB, CMYK or Lab, and their bits.
+    def decoded(self, read: Callable[[Any], Array]) -> Array:
+        """Return all samples, of shape (H, W) or (H, W, C), in grey, RGB, CMYK or Lab.
 
-        In Lab of integers, a* and b* are 0 in the middle of the range, as in ICC's encoding. ``read`` decodes a page of
-        a file in memory by libvips, given its number.
+        In Lab of integers, a* and b* are 0 in the middle of the range, as in ICC's encoding. ``read`` decodes the
+        page by libvips, given the file in memory.
         """
         if not self.bits or (self.bits == 64 and self._kind != 3) or self._kind not in (1, 2, 3):
             self._refuse("its samples are of different types, complex, or integers of 64 bits")
@@ -199,13 +199,13 @@ class Page:
                 made = made << (depth - self.bits)
                 for step in (self.bits, 2 * self.bits, 4 * self.bits):
                     made |= made >> step if step < depth else 0
-        return np.ascontiguousarray(swapped(self.tiff, made)), self.bits
+        return swapped(self.tiff, made)
 
     def _refuse(self, what: str) -> NoReturn:
         what = f"it is of a kind that is not supported ({what})"
         raise unreadable(self._path, what, "convert it, to PNG for instance")
 
-    def _plane(self, read: Callable[[Any, int], Array], k: int) -> Array:
+    def _plane(self, read: Callable[[Any], Array], k: int) -> Array:
         """Decode one plane, or all samples if they lie together."""
         with open(self._path, "rb") as file:
             data = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_COPY)
@@ -228,7 +228,7 @@ class Page:
         if self.planes > 1:
             for tag in (tag for pair in _STORED for tag in pair if tag in self._at):
                 self._share(data, tag, k)
-        made = read(data, self._number)
+        made = read(data)
         if usual:
             return made
         if self.bits == 64:
