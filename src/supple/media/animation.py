@@ -13,12 +13,11 @@ from fractions import Fraction
 from pathlib import Path
 from typing import IO, Any
 
-import numpy as np
-
 from supple.engine.work import Array
 from supple.errors import shown
 from supple.media.base import ClipWarning
 from supple.media.files import PathLike, replacing
+from supple.media.image.formats import bounds
 from supple.media.sequence import PictureSink
 
 Chunk = tuple[bytes, bytes]
@@ -164,11 +163,8 @@ def _changed(pixels: Array, before: Array | None, step: int) -> Box:
     """Return the box around the pixels that differ: x, y, width and height; one pixel if none do."""
     if before is None:
         return 0, 0, pixels.shape[1], pixels.shape[0]
-    differ = (pixels != before).any(axis=2)
-    (left, right), (top, bottom) = (
-        (int(found[0]) // step * step, int(found[-1]) + 1) if len(found) else (0, 1)
-        for found in (np.flatnonzero(differ.any(axis=axis)) for axis in (0, 1))
-    )
+    left, top, right, bottom = bounds((pixels != before).any(axis=2)) or (0, 0, 1, 1)
+    left, top = left // step * step, top // step * step
     return left, top, right - left, bottom - top
 
 

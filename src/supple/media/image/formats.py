@@ -16,6 +16,7 @@ from supple.errors import SuppleError, shown
 from supple.media.files import PathLike, first_bytes, unreadable, unwritable
 
 Array = npt.NDArray[Any]
+Box = tuple[int, int, int, int]  # x and y of the first pixel, and of that after the last
 
 
 @dataclass(frozen=True, slots=True)
@@ -221,6 +222,12 @@ def damaged(path: PathLike, why: str = "") -> SuppleError:
     """Return an error for a file that cannot be decoded, with a library's reason, if it gives one."""
     what = "it is damaged, cut short or of a kind that is not supported" + (f" ({why})" if why else "")
     return unreadable(path, what, "give a whole copy of it, or convert it, to PNG or TIFF for instance")
+
+
+def bounds(mask: Array) -> Box | None:
+    """Return the box around all that is true; None if nothing is."""
+    rows, columns = (np.flatnonzero(mask.any(axis=axis)) for axis in (1, 0))
+    return (int(columns[0]), int(rows[0]), int(columns[-1]) + 1, int(rows[-1]) + 1) if rows.size else None
 
 
 def is_exr(path: PathLike) -> bool:

@@ -86,8 +86,8 @@ def of_exr(held: exr.Exr) -> Any:
     return image
 
 
-# Kept: libvips takes YCbCr for RGB (test_a_tiff_in_ycbcr_that_pillow_wrote), reads no doubles (test_tiff_of_doubles), and
-# mixes planes up (test_planes).
+# Kept: libvips takes YCbCr for RGB (test_a_tiff_in_ycbcr_that_pillow_wrote), reads no doubles (test_tiff_of_doubles),
+# and no planes of tiles (test_planes).
 def of_tiff(path: PathLike, number: int = 0) -> Any:
     """Open a page of a TIFF; decode what libvips reads wrongly."""
     page = Page(path, number)
