@@ -28,7 +28,7 @@ from supple.files.options import ClipOptions, GridOptions, PathLike
 from supple.folding.resolved import warn_of_still
 from supple.media.base import Clip, ClipWarning, CountError
 from supple.media.files import check_output, replacing
-from supple.media.image import check_compression, check_quality, check_target
+from supple.media.image import check_options, check_target
 from supple.media.image.formats import SUFFIXES as SUFFIXES_IN
 from supple.media.image.formats import SUFFIXES_OUT as PICTURES_OUT
 from supple.media.medium import VIDEOS_OUT, is_animated
@@ -225,8 +225,7 @@ def check(job: Job) -> None:
     if job.clip.frame is not None:
         check_target(target)
         refuse_encoding(job.clip, target, "a picture")
-        check_quality(target, job.quality)
-        check_compression(target, job.compression)
+        check_options(target, quality=job.quality, lossless=job.lossless, compression=job.compression)
         check_output(target, force=job.force)
         return
     if not os.fspath(target):
@@ -252,8 +251,7 @@ def check(job: Job) -> None:
     elif not is_picture_target(target):
         check_output(target, force=job.force)
     refuse_encoding(job.clip, target, "pictures")
-    check_quality(target, job.quality)
-    check_compression(target, job.compression)
+    check_options(target, quality=job.quality, lossless=job.lossless, compression=job.compression)
 
 
 def _check_shot(options: ClipOptions) -> None:

@@ -22,8 +22,7 @@ from supple.media.files import check_output, replacing
 from supple.media.image import (
     ImageWarning,
     Picture,
-    check_compression,
-    check_quality,
+    check_options,
     check_target,
     read,
     warn_of_exact,
@@ -38,11 +37,7 @@ from supple.strokes import fit_recipe
 def check(job: Job) -> None:
     """Raise SuppleError for an invalid target or option, before an image is read."""
     check_target(job.target)
-    check_quality(job.target, job.quality)
-    check_compression(job.target, job.compression)
-    if job.lossless and _format(job.target) == "JPEG":
-        text = f"cannot write {shown(job.target)} without loss: JPEG always loses: write PNG, TIFF, WebP or AVIF"
-        raise SuppleError(text)
+    check_options(job.target, quality=job.quality, lossless=job.lossless, compression=job.compression)
     check_output(job.target, force=job.force)
 
 

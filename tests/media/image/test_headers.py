@@ -164,7 +164,7 @@ class TestHeaders:
             assert image.tag_v2.get(296, 1) == 1 if suffix == ".tif" else True
             image.load()
         again = read(tmp_path / f"out{suffix}")
-        assert "xres" not in again._header
+        assert "resolution" not in again._header
         assert "exif-data" not in again._header
 
     @pytest.mark.parametrize("dots", [(300, 300), (118.11, 118.11), (72, 96)])

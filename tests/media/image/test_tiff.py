@@ -304,7 +304,7 @@ def test_numbers_without_a_unit_are_no_resolution(tmp_path: Path, target: str) -
         tmp_path / "in.tif", noise("u1", *SIZE), "minisblack", resolution=(300, 150), resolutionunit=1, software=False
     )
     write(tmp_path / f"out{target}", read(tmp_path / "in.tif"))
-    assert "xres" not in read(tmp_path / f"out{target}")._header
+    assert "resolution" not in read(tmp_path / f"out{target}")._header
 
 
 def test_a_compression_that_is_not_kept_is_said(tmp_path: Path) -> None:

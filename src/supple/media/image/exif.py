@@ -175,7 +175,7 @@ def fitted(block: bytes, most: int) -> bytes:
 
 
 def for_tiff(block: bytes, width: int, height: int) -> Folder:
-    """Return the tags of an EXIF block, with the size of its image."""
+    """Return the tags of an EXIF block, with the size of its image; none of an empty one."""
     found = _parsed(block)[0]
     inner = found.get(_EXIF)
     if isinstance(inner, dict):
