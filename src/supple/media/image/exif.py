@@ -30,7 +30,6 @@ _PREFIX = b"Exif\0\0"
 SHAPED = b'{"shape": '  # tifffile's description of an array, which may become one of another shape
 # for each type of value its bytes, and those that the byte order swaps
 _SIZES = {1: 1, 2: 1, 3: 2, 4: 4, 5: 8, 6: 1, 7: 1, 8: 2, 9: 4, 10: 8, 11: 4, 12: 8, 13: 4, 129: 1}
-_SIZES |= {16: 8, 17: 8, 18: 8}
 _TURNED = {**_SIZES, 5: 4, 10: 4}
 _LONG8 = 16
 Order: TypeAlias = Literal["little", "big"]
@@ -112,7 +111,7 @@ class Reader:
                     found[tag] = value
             elif tag not in _BELOW[parent]:
                 self.whole = False
-            elif below := self.folder(self.pointer(entry), tag):
+            elif below := self.folder(self.integer(entry) or self.size, tag):
                 found[tag] = below
         return found
 
@@ -129,19 +128,12 @@ class Reader:
             self.whole = False
             return None
         self.room -= size
-        if kind in (16, 17, 18):  # other formats have no 64-bit integers
-            wide = np.frombuffer(data, _dtype(form, "i" if kind == 17 else "u", 8))
-            narrow = wide.astype(_dtype(form, wide.dtype.kind, 4))
-            if not np.array_equal(wide, narrow):
-                self.whole = False
-                return None
-            data, kind = narrow.tobytes(), 9 if kind == 17 else 4
         return Value({13: 4, 129: 2}.get(kind, kind), data, form.order)
 
-    def pointer(self, entry: bytes) -> int:
-        """Return the offset of a folder below; the end of the file if it is damaged."""
-        value = self.value(entry)
-        return self.form.number(value.data) if value and value.kind == 4 and len(value.data) == 4 else self.size
+    def integer(self, entry: bytes) -> int:
+        """Return the integer that an entry holds itself; 0 for other types."""
+        size = {1: 1, 3: 2, 4: 4, 13: 4, 16: 8, 18: 8}.get(self.form.number(entry[2:4]), 0)
+        return self.form.number(entry[-self.form.word :][:size])
 
 
 def from_tiff(path: PathLike) -> tuple[bytes | None, bool]:
@@ -161,16 +153,11 @@ def fitted(block: bytes, most: int) -> bytes:
     """Return an EXIF block without its largest values, such that it fits ``most`` bytes."""
     found, form, _ = _parsed(block)
     folders = [found, *(item for item in found.values() if isinstance(item, dict))]
-    sizes = [
-        (len(item.data), at, tag)
-        for at, folder in enumerate(folders)
-        for tag, item in folder.items()
-        if isinstance(item, Value)
-    ]
-    for _, at, tag in sorted(sizes, reverse=True):
-        if len(block := _block(found, form)) <= most:
-            break
-        del folders[at][tag]
+    while len(block) > most:
+        tags = [(k, tag) for k, folder in enumerate(folders) for tag, item in folder.items() if isinstance(item, Value)]
+        k, tag = max(tags, key=lambda at: len(folders[at[0]][at[1]].data))
+        del folders[k][tag]
+        block = _block(found, form)
     return block
 
 

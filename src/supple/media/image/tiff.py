@@ -16,7 +16,7 @@ from supple.media.image.formats import Array
 _WIDTH, _BITS, _COMPRESSION, _PHOTOMETRIC, _SAMPLES, _PLANAR = 256, 258, 259, 262, 277, 284
 _PREDICTOR, _TILE_WIDTH, _TILE_HEIGHT, _INKS, _EXTRA, _FORMAT = 317, 322, 323, 332, 338, 339
 _UNIT = 296
-_STORED = ((273, 279), (324, 325))  # the offsets and sizes of strips, and of tiles
+_STORED = {273, 279, 324, 325}  # the offsets and sizes of strips, and of tiles
 MINISWHITE, RGB, YCBCR, CIELAB, ICCLAB, ITULAB = 0, 2, 6, 8, 9, 10
 MASK, _MOSAIC = 4, 32803
 # by photometric interpretation; others have three, inks their own
@@ -102,19 +102,21 @@ class Page:
     """A page of a TIFF, counted from 0, whose tags can be changed before libvips reads it; the file stays as it is."""
 
     def __init__(self, path: PathLike, number: int = 0) -> None:
-        self._path, self._number = path, number
+        self._path = path
         with open(path, "rb") as file:
             reader = Reader(file)
             self._form, at = reader.form, reader.first
             for _ in range(number):
                 at = self._form.number(reader.entries(at)[1])
-            entries, _ = reader.entries(at)
-            form = self._form
-            self._at = {form.number(e[:2]): at + form.count + form.step * k for k, e in reversed([*enumerate(entries)])}
-            self._entries = {form.number(e[:2]): e for e in reversed(entries)}
-            self._size = reader.size
-            whole = [tag for tag in (_BITS, _EXTRA, _FORMAT, *_TAGS) if tag in self._entries]
-            self._values = {tag: value for tag in whole if (value := reader.value(self._entries[tag])) is not None}
+            form, entries = self._form, reader.entries(at)[0]
+            places = range(at + form.count, at + form.count + form.step * len(entries), form.step)
+            # of a tag that is there twice, the first counts
+            self._entries = {form.number(e[:2]): (place, e) for place, e in [*zip(places, entries, strict=True)][::-1]}
+            self._values, self._integers = {}, {}
+            for tag, (_, entry) in self._entries.items():
+                self._integers[tag] = reader.integer(entry)
+                if tag in (_BITS, _EXTRA, _FORMAT, *_TAGS) and (value := reader.value(entry)) is not None:
+                    self._values[tag] = value
         bits, kinds = self._numbers(_BITS) or (1,), self._numbers(_FORMAT) or (1,)
         self.bits, self._kind = (bits[0], kinds[0]) if len({*bits}) == len({*kinds}) == 1 else (0, 0)
         self._kind = 1 if self._kind == 4 else self._kind  # unknown ones are taken for integers
@@ -133,10 +135,7 @@ class Page:
 
     def _one(self, tag: int) -> int:
         """Return an integer in a tag; 0 if it is missing."""
-        if (entry := self._entries.get(tag)) is None:
-            return 0
-        kind = self._form.number(entry[2:4])
-        return self._form.number(entry[-self._form.word :][: {1: 1, 3: 2, 4: 4, 16: 8}.get(kind, 2)])
+        return self._integers.get(tag, 0)
 
     def _facts(self) -> Tiff:
         inks = self.photometric == 5
@@ -151,16 +150,16 @@ class Page:
         saved = _SAVED.get(self._compression, "deflate")
         if saved == "jpeg" and (extra or multi or self.bits != 8 or self.photometric not in (1, RGB, YCBCR)):
             saved = "deflate"  # libvips would write fewer channels
+        is_kept = saved == _SAVED.get(self._compression)
         options: dict[str, Any] = {"compression": saved}
-        if saved in _PREDICTED and (self._compression != 32946 and saved == _SAVED.get(self._compression)):
+        if is_kept and saved in _PREDICTED:
             options["predictor"] = {2: "horizontal", 3: "float"}.get(self._one(_PREDICTOR), "none")
         if self.tiled:
             options |= {"tile": True, "tile_width": self._one(_TILE_WIDTH), "tile_height": self._one(_TILE_HEIGHT)}
         if self._form.big:
             options["bigtiff"] = True
         tags: Folder = {tag: self._values[tag] for tag in _TAGS if tag in self._values}
-        kept = saved != "deflate" or _SAVED.get(self._compression) == saved
-        unkept = "" if kept else _UNKEPT.get(self._compression, f"method {self._compression}")
+        unkept = "" if is_kept else _UNKEPT.get(self._compression, f"method {self._compression}")
         return Tiff(self.photometric, extra, meaning, options, tags, unkept)
 
     @property
@@ -183,10 +182,9 @@ class Page:
         In Lab of integers, a* and b* are 0 in the middle of the range, as in ICC's encoding. ``read`` decodes the
         page by libvips, given the file in memory.
         """
-        if not self.bits or (self.bits == 64 and self._kind != 3) or self._kind not in (1, 2, 3):
-            self._refuse("its samples are of different types, complex, or integers of 64 bits")
-        if self._kind != 1 and self.bits not in (8, 16, 32, 64):
-            self._refuse(f"its samples are of {self.bits} bits, and no unsigned integers")
+        depths = {1: range(1, 33), 2: (8, 16, 32), 3: (8, 16, 32, 64)}
+        if self.bits not in depths.get(self._kind, ()):
+            self._refuse("its samples are of different types or odd depths, complex, or integers of 64 bits")
         if self.photometric == _MOSAIC:
             self._refuse("it is a mosaic of colours, from a camera's sensor")
         if self.planes > 1 and self.photometric == YCBCR:
@@ -211,22 +209,23 @@ class Page:
             data = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_COPY)
         count = self.samples // self.planes
         usual = self.bits in (8, 16, 32)
-        values = {_PLANAR: 1, _PHOTOMETRIC: RGB if count > 2 and usual else 1, _SAMPLES: count if usual else 1}
         across, predictor = self._one(_WIDTH), self._one(_PREDICTOR)
-        pixel = self.bits * count
+        segment, pixel = self._one(_TILE_WIDTH) or across, self.bits * count
+        values = {_PLANAR: 1, _PHOTOMETRIC: RGB if count > 2 and usual else 1, _SAMPLES: count if usual else 1}
         if not usual:  # read as bytes
-            values |= {_BITS: 8, _FORMAT: 1, _PREDICTOR: 1}
-            segment = self._one(_TILE_WIDTH) if self.tiled else across
             whole = -(-across // segment) * segment
-            values[_WIDTH] = -(-whole * pixel // 8)
-            if self.tiled:
-                values[_TILE_WIDTH] = segment * pixel // 8
-        for tag, value in values.items():
-            self._set(data, tag, 4 if tag in (_WIDTH, _TILE_WIDTH) else 3, value)
-        if (at := self._at.get(_EXTRA)) is not None:  # named as the one before it: libtiff ignores the second of two
-            data[at : at + 2] = self._form.bytes(max(tag for tag in self._at if tag < _EXTRA), 2)
+            values |= {_BITS: 8, _FORMAT: 1, _PREDICTOR: 1, _WIDTH: -(-whole * pixel // 8)}
+            values[_TILE_WIDTH] = segment * pixel // 8
+        form = self._form
+        for tag in values.keys() & self._entries.keys():
+            at = self._entries[tag][0]
+            entry = form.bytes(tag, 2) + form.bytes(4, 2) + form.bytes(1, form.word) + form.bytes(values[tag], 4)
+            data[at : at + form.step] = entry.ljust(form.step, b"\0")
+        if _EXTRA in self._entries:  # named as the one before it: libtiff ignores the second of two
+            at = self._entries[_EXTRA][0]
+            data[at : at + 2] = form.bytes(max(tag for tag in self._entries if tag < _EXTRA), 2)
         if self.planes > 1:
-            for tag in (tag for pair in _STORED for tag in pair if tag in self._at):
+            for tag in _STORED & self._entries.keys():
                 self._share(data, tag, k)
         made = read(data)
         if usual:
@@ -258,16 +257,9 @@ class Page:
         shape = (len(rows), -1, count) if count > 1 else (len(rows), -1)
         return np.asarray(made.reshape(shape), np.float64)
 
-    def _set(self, data: mmap.mmap, tag: int, kind: int, value: int) -> None:
-        """Change a tag, if it is there, to one integer."""
-        if (at := self._at.get(tag)) is not None:
-            form = self._form
-            entry = form.bytes(tag, 2) + form.bytes(kind, 2) + form.bytes(1, form.word)
-            data[at : at + form.step] = (entry + form.bytes(value, 2 if kind == 3 else 4)).ljust(form.step, b"\0")
-
     def _share(self, data: mmap.mmap, tag: int, k: int) -> None:
         """Reduce the offsets or sizes of strips to those of one plane."""
-        form, entry, at = self._form, self._entries[tag], self._at[tag]
+        form, (at, entry) = self._form, self._entries[tag]
         kind, count = form.number(entry[2:4]), form.number(entry[4 : -form.word])
         size = {3: 2, 4: 4, 16: 8}.get(kind, 4)
         if count % self.planes or kind not in (3, 4, 16):
