@@ -169,7 +169,7 @@ def test_what_standard_input_and_output_cannot_be(picture: Path) -> None:
     )
     status, out, told = run("warp", "-", "-", *GRAB, given=b"hello")
     assert (status, out) == (2, b"")
-    assert told.startswith("supple: cannot read standard input: it is damaged, cut short or of a kind")
+    assert told.startswith("supple: cannot read standard input: it is no image of a known kind")
     status, out, told = run("warp", "-", str(picture), "-", *GRAB, given=b"hello")
     assert (status, out) == (2, b"")
     assert "- stands for one file" in told

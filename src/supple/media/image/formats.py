@@ -214,8 +214,9 @@ def codec_of(path: PathLike, head: bytes) -> tuple[str, str] | None:
 
 
 def damaged(path: PathLike, why: str = "") -> SuppleError:
-    """Return an error for a file that cannot be decoded, with a library's reason, if it gives one."""
-    what = "it is damaged, cut short or of a kind that is not supported" + (f" ({why})" if why else "")
+    """Return an error for a file that cannot be decoded, with a library's reason; without, it is not known at all."""
+    what = f"it is damaged, cut short or of a kind that is not supported ({why})"
+    what = what if why else "it is no image of a known kind, or cut short"
     return unreadable(path, what, "give a whole copy of it, or convert it, to PNG or TIFF for instance")
 
 

@@ -9,14 +9,14 @@ from typing import Any, NoReturn
 
 import numpy as np
 
-from supple.media.files import PathLike, unreadable
-from supple.media.image.exif import Folder, Order, Reader, Value, into_tiff
-from supple.media.image.formats import Array
+from supple.errors import need, said
+from supple.media.files import PathLike, refusing, unreadable
+from supple.media.image.exif import Folder, Reader, Value, into_tiff
+from supple.media.image.formats import Array, damaged
 
-_WIDTH, _BITS, _COMPRESSION, _PHOTOMETRIC, _SAMPLES, _PLANAR = 256, 258, 259, 262, 277, 284
+_BITS, _COMPRESSION, _PHOTOMETRIC, _SAMPLES, _PLANAR = 258, 259, 262, 277, 284
 _PREDICTOR, _TILE_WIDTH, _TILE_HEIGHT, _INKS, _EXTRA, _FORMAT = 317, 322, 323, 332, 338, 339
 _UNIT = 296
-_STORED = {273, 279, 324, 325}  # the offsets and sizes of strips, and of tiles
 MINISWHITE, RGB, YCBCR, CIELAB, ICCLAB, ITULAB = 0, 2, 6, 8, 9, 10
 MASK, _MOSAIC = 4, 32803
 # by photometric interpretation; others have three, inks their own
@@ -102,18 +102,20 @@ class Page:
     """A page of a TIFF, counted from 0, whose tags can be changed before libvips reads it; the file stays as it is."""
 
     def __init__(self, path: PathLike, number: int = 0) -> None:
-        self._path = path
+        self._path, self._number = path, number
         with open(path, "rb") as file:
             reader = Reader(file)
             self._form, at = reader.form, reader.first
             for _ in range(number):
                 at = self._form.number(reader.entries(at)[1])
             form, entries = self._form, reader.entries(at)[0]
-            places = range(at + form.count, at + form.count + form.step * len(entries), form.step)
-            # of a tag that is there twice, the first counts
-            self._entries = {form.number(e[:2]): (place, e) for place, e in [*zip(places, entries, strict=True)][::-1]}
-            self._values, self._integers = {}, {}
-            for tag, (_, entry) in self._entries.items():
+            self._entries: dict[int, int] = {}  # where they are in the file
+            self._values: dict[int, Value] = {}
+            self._integers: dict[int, int] = {}
+            for k, entry in enumerate(entries):
+                tag = form.number(entry[:2])
+                if self._entries.setdefault(tag, place := at + form.count + form.step * k) != place:
+                    continue  # of a tag that is there twice, the first counts
                 self._integers[tag] = reader.integer(entry)
                 if tag in (_BITS, _EXTRA, _FORMAT, *_TAGS) and (value := reader.value(entry)) is not None:
                     self._values[tag] = value
@@ -170,17 +172,21 @@ class Page:
     @property
     def is_plain(self) -> bool:
         """Whether libvips reads the samples as they are, and knows what they are."""
-        usual = self.bits in (8, 16, 32) or (self.bits in (1, 2, 4) and self.samples == 1)
         inverted = self.photometric == MINISWHITE and self.samples > 1
         lab = self.photometric in (CIELAB, ICCLAB, ITULAB) and self._kind != 3
         odd = inverted or lab or self.photometric in (MASK, _MOSAIC)
-        return usual and self.planes == 1 and 1 not in self.tiff.extra and not odd
+        return self.is_usual and 1 not in self.tiff.extra and not odd
 
-    def decoded(self, read: Callable[[Any], Array]) -> Array:
-        """Return all samples, of shape (H, W) or (H, W, C), in grey, RGB, CMYK or Lab.
+    @property
+    def is_usual(self) -> bool:
+        """Whether libvips reads the samples, if it is told that they are grey or RGB."""
+        usual = self.bits in (8, 16, 32) or (self.bits in (1, 2, 4) and self.samples == 1)
+        return usual and self.planes == 1
 
-        In Lab of integers, a* and b* are 0 in the middle of the range, as in ICC's encoding. ``read`` decodes the
-        page by libvips, given the file in memory.
+    def retagged(self) -> mmap.mmap:
+        """Return the file in memory, where the page is grey or RGB without opacity, or of one sample of 8 bits.
+
+        SuppleError for samples that are not supported.
         """
         depths = {1: range(1, 33), 2: (8, 16, 32), 3: (8, 16, 32, 64)}
         if self.bits not in depths.get(self._kind, ()):
@@ -189,86 +195,48 @@ class Page:
             self._refuse("it is a mosaic of colours, from a camera's sensor")
         if self.planes > 1 and self.photometric == YCBCR:
             self._refuse("it holds YCbCr in separate planes")
-        parts = [self._plane(read, k) for k in range(self.planes)]
-        made = parts[0] if len(parts) == 1 else np.stack([part.reshape(part.shape[:2]) for part in parts], axis=-1)
-        if made.dtype.kind == "u":
-            depth = made.dtype.itemsize * 8
-            if self.bits < depth:  # so that white is the largest value
-                made = made << (depth - self.bits)
-                for step in (self.bits, 2 * self.bits, 4 * self.bits):
-                    made |= made >> step if step < depth else 0
-        return swapped(self.tiff, made)
+        with open(self._path, "rb") as file:
+            data = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_COPY)
+        values = {_PHOTOMETRIC: RGB if self.samples > 2 else 1}
+        if not self.is_usual:
+            values = {_PHOTOMETRIC: 1, _PLANAR: 1, _SAMPLES: 1, _BITS: 8, _FORMAT: 1, _PREDICTOR: 1}
+        form = self._form
+        for tag in values.keys() & self._entries.keys():
+            at = self._entries[tag]
+            entry = form.bytes(tag, 2) + form.bytes(4, 2) + form.bytes(1, form.word) + form.bytes(values[tag], 4)
+            data[at : at + form.step] = entry.ljust(form.step, b"\0")
+        if _EXTRA in self._entries:  # named as the one before it: libtiff ignores the second of two
+            at = self._entries[_EXTRA]
+            data[at : at + 2] = form.bytes(max(tag for tag in self._entries if tag < _EXTRA), 2)
+        return data
+
+    def decoded(self, read: Callable[[], Array]) -> Array:
+        """Return all samples, of shape (H, W) or (H, W, C), in grey, RGB, CMYK or Lab.
+
+        In Lab of integers, a* and b* are 0 in the middle of the range, as in ICC's encoding. ``read`` decodes what
+        `retagged` returns by libvips, if the samples are usual; others are decoded by tifffile.
+        """
+        return swapped(self.tiff, read() if self.is_usual else self._by_tifffile())
 
     def _refuse(self, what: str) -> NoReturn:
         what = f"it is of a kind that is not supported ({what})"
         raise unreadable(self._path, what, "convert it, to PNG for instance")
 
-    def _plane(self, read: Callable[[Any], Array], k: int) -> Array:
-        """Decode one plane, or all samples if they lie together."""
-        with open(self._path, "rb") as file:
-            data = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_COPY)
-        count = self.samples // self.planes
-        usual = self.bits in (8, 16, 32)
-        across, predictor = self._one(_WIDTH), self._one(_PREDICTOR)
-        segment, pixel = self._one(_TILE_WIDTH) or across, self.bits * count
-        values = {_PLANAR: 1, _PHOTOMETRIC: RGB if count > 2 and usual else 1, _SAMPLES: count if usual else 1}
-        if not usual:  # read as bytes
-            whole = -(-across // segment) * segment
-            values |= {_BITS: 8, _FORMAT: 1, _PREDICTOR: 1, _WIDTH: -(-whole * pixel // 8)}
-            values[_TILE_WIDTH] = segment * pixel // 8
-        form = self._form
-        for tag in values.keys() & self._entries.keys():
-            at = self._entries[tag][0]
-            entry = form.bytes(tag, 2) + form.bytes(4, 2) + form.bytes(1, form.word) + form.bytes(values[tag], 4)
-            data[at : at + form.step] = entry.ljust(form.step, b"\0")
-        if _EXTRA in self._entries:  # named as the one before it: libtiff ignores the second of two
-            at = self._entries[_EXTRA][0]
-            data[at : at + 2] = form.bytes(max(tag for tag in self._entries if tag < _EXTRA), 2)
-        if self.planes > 1:
-            for tag in _STORED & self._entries.keys():
-                self._share(data, tag, k)
-        made = read(data)
-        if usual:
-            return made
-        if self.bits == 64:
-            return self._doubles(made, segment, count, predictor)[:, :across]
-        if predictor > 1:
-            self._refuse(f"its samples of {self.bits} bits are compressed by their differences")
-        held = np.unpackbits(made.reshape(len(made), -1), axis=1)[:, : across * pixel]
-        weights = 1 << np.arange(self.bits, dtype=np.uint32)[::-1]
-        numbers = held.reshape(len(made), across, count, self.bits) @ weights
-        numbers = numbers.astype(np.uint8 if self.bits < 8 else np.uint16 if self.bits < 16 else np.uint32)
-        return numbers[..., 0] if count == 1 else numbers
+    def _by_tifffile(self) -> Array:
+        need("volume", "TIFFs of planes, of odd depths or of 64 bits", "tifffile")
+        import tifffile
 
-    def _doubles(self, rows: Array, segment: int, count: int, predictor: int) -> Array:
-        """Return doubles from rows of bytes, of which each segment may be compressed by its differences."""
-        order: Order = self._form.order
-        dtype = np.dtype("<f8" if order == "little" else ">f8")
-        held = rows.reshape(len(rows), -1, segment, count * 8)
-        if predictor == 3:  # differences of bytes, the first bytes of all samples before the second ones
-            steps = np.cumsum(held.reshape(len(rows), -1, segment * 8, count), axis=2, dtype=np.uint8)
-            big = steps.reshape(len(rows), -1, 8, segment * count).swapaxes(2, 3)
-            made = np.ascontiguousarray(big).view(">f8")
-        elif predictor == 2:
-            whole = np.ascontiguousarray(held).view(dtype.str.replace("f", "u")).astype(np.uint64)
-            made = np.cumsum(whole.reshape(len(rows), -1, segment, count), axis=2, dtype=np.uint64).view(np.float64)
-        else:
-            made = np.ascontiguousarray(held).view(dtype)
-        shape = (len(rows), -1, count) if count > 1 else (len(rows), -1)
-        return np.asarray(made.reshape(shape), np.float64)
-
-    def _share(self, data: mmap.mmap, tag: int, k: int) -> None:
-        """Reduce the offsets or sizes of strips to those of one plane."""
-        form, (at, entry) = self._form, self._entries[tag]
-        kind, count = form.number(entry[2:4]), form.number(entry[4 : -form.word])
-        size = {3: 2, 4: 4, 16: 8}.get(kind, 4)
-        if count % self.planes or kind not in (3, 4, 16):
-            self._refuse("its planes have different numbers of strips")
-        few = count // self.planes
-        begin = at + form.step - form.word if count * size <= form.word else form.number(entry[-form.word :])
-        begin += k * few * size
-        inline = data[begin : begin + few * size] if few * size <= form.word else form.bytes(begin, form.word)
-        data[at + 4 : at + form.step] = form.bytes(few, form.word) + inline.ljust(form.word, b"\0")
+        with refusing(lambda error: damaged(self._path, said(error)), Exception), tifffile.TiffFile(self._path) as file:
+            page = file.pages[self._number]
+            pixels = np.asarray(page.asarray())
+        pixels = np.moveaxis(pixels, 0, -1) if self.planes > 1 else pixels
+        pixels = np.ascontiguousarray(pixels, pixels.dtype.newbyteorder("="))
+        depth = pixels.dtype.itemsize * 8
+        if pixels.dtype.kind == "u" and self.bits < depth:  # so that white is the largest value
+            pixels = pixels << (depth - self.bits)
+            for step in (self.bits, 2 * self.bits, 4 * self.bits):
+                pixels |= pixels >> step if step < depth else 0
+        return pixels
 
 
 def swapped(tiff: Tiff, pixels: Array) -> Array:

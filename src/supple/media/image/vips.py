@@ -86,8 +86,9 @@ def of_exr(held: exr.Exr) -> Any:
     return image
 
 
-# Kept: libvips takes YCbCr for RGB (test_a_tiff_in_ycbcr_that_pillow_wrote), reads no doubles (test_tiff_of_doubles),
-# and no planes of tiles (test_planes).
+# Kept: libvips takes YCbCr for RGB (test_a_tiff_in_ycbcr_that_pillow_wrote), divides colours by their opacity
+# (test_multiplied_colours_are_averaged_as_they_are), reads no doubles (test_tiff_of_doubles), nor planes of tiles
+# (test_planes).
 def of_tiff(path: PathLike, number: int = 0) -> Any:
     """Open a page of a TIFF; decode what libvips reads wrongly."""
     page = Page(path, number)
@@ -103,14 +104,10 @@ def of_tiff(path: PathLike, number: int = 0) -> Any:
         with ffmpeg.reading(path):
             image = _with_header(of_pixels(*ffmpeg.decoded(path, "tiff")), image)
     elif not page.is_plain:
-        header: list[Any] = []
-
-        def read(data: Any) -> Array:
-            source = pyvips.Source.new_from_memory(data)
-            header.append(apart(lambda: pyvips.Image.new_from_source(source, "", access="sequential", **options)))
-            return apart(lambda: decoded(header[-1], 1), header[-1])
-
-        image = _with_header(of_pixels(page.decoded(read), page.bits, len(page.tiff.extra)), header[0])
+        source = pyvips.Source.new_from_memory(page.retagged())
+        header = apart(lambda: pyvips.Image.new_from_source(source, "", access="sequential", **options))
+        pixels = page.decoded(lambda: apart(lambda: decoded(header, 1), header))
+        image = _with_header(of_pixels(pixels, page.bits, len(page.tiff.extra)), header)
     if page.tiff.meaning:
         image = image.copy(interpretation=page.tiff.meaning)
     if page.tiff.extra:
