@@ -112,7 +112,7 @@ class Picture:
             some = "1 sample is NaN or infinite" if count == 1 else f"{count} samples are NaN or infinite"
             text = f"{name}: {some}, and so are those that are computed from them"
             warnings.warn(text, GapWarning, stacklevel=caller())
-        extra = self.extra or ((2,) if self.alpha else ())
+        extra = self.meanings
         channels = list(range(self.pixels.shape[2] if self.pixels.ndim == 3 else 1))
         if len(extra) > 1 and 2 in extra:  # opacity weights colours, but no data
             colours = len(channels) - len(extra)
@@ -133,6 +133,11 @@ class Picture:
         if self.pages > 1:
             made = made.reshape(-1, *made.shape[2:])
         return replace(self, pixels=made, _header=header)
+
+    @property
+    def meanings(self) -> tuple[int, ...]:
+        """`extra`, also where `alpha` alone says it."""
+        return self.extra or ((2,) if self.alpha else ())
 
     @property
     def layers(self) -> exr.Exr | None:
@@ -379,7 +384,7 @@ def write(
     same = like.pixels.shape[2:] == array.shape[2:]
     extra: tuple[int, ...] = (2,) if (channels in (2, 4) if alpha is None else alpha) else ()
     if alpha is None and same:
-        extra = like.extra or ((2,) if like.alpha else ())
+        extra = like.meanings
         if extra == (1,) and form not in (formats.TIFF, formats.EXR):
             array, extra = formats.divided(array), (2,)
     header, icc, alpha = dict(like._header), like.icc, 2 in extra

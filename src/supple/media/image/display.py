@@ -20,7 +20,7 @@ def in_srgb(picture: Picture) -> Picture:
     is opacity, not multiplied, if `alpha` is true.
     """
     pixels = np.atleast_3d(picture.pixels)
-    extra = picture.extra or ((2,) if picture.alpha else ())
+    extra = picture.meanings
     count = pixels.shape[2] - len(extra)
     if picture.interpretation == "multiband" and not extra and count > 3:
         count = 3

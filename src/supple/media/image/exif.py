@@ -37,11 +37,10 @@ Order: TypeAlias = Literal["little", "big"]
 
 @dataclass(frozen=True, slots=True)
 class Value:
-    """A value to be laid out: its type, its bytes and their order."""
+    """A value to be laid out: its type, and its bytes in little-endian order."""
 
     kind: int
     data: bytes
-    order: Order = "little"
 
 
 # an entry as stored in a file, a value to be laid out, or a folder below
@@ -60,6 +59,10 @@ class _Form:
 
     def bytes(self, number: int, size: int) -> bytes:
         return number.to_bytes(size, self.order)
+
+    def swapped(self, kind: int, data: bytes) -> bytes:
+        """Return values of a type in little-endian order, or from it in that of the file."""
+        return data if self.order == "little" else np.frombuffer(data, f"u{_TURNED[kind]}").byteswap().tobytes()
 
 
 class Reader:
@@ -128,7 +131,7 @@ class Reader:
             self.whole = False
             return None
         self.room -= size
-        return Value({13: 4, 129: 2}.get(kind, kind), data, form.order)
+        return Value({13: 4, 129: 2}.get(kind, kind), form.swapped(kind, data))
 
     def integer(self, entry: bytes) -> int:
         """Return the integer that an entry holds itself; 0 for other types."""
@@ -219,8 +222,8 @@ def _laid(folder: Folder, place: int, form: _Form, following: bytes = b"") -> by
             table += item
             continue
         if isinstance(item, Value):
-            kind, count, unit = item.kind, len(item.data) // _SIZES[item.kind], _TURNED[item.kind]
-            data = np.frombuffer(item.data, _dtype(item, "u", unit)).astype(_dtype(form, "u", unit)).tobytes()
+            kind, count = item.kind, len(item.data) // _SIZES[item.kind]
+            data = form.swapped(kind, item.data)
         else:
             kind, count = (_LONG8 if form.big else 4), 1
             data = _laid(item, behind + len(rest), form)
@@ -232,7 +235,3 @@ def _laid(folder: Folder, place: int, form: _Form, following: bytes = b"") -> by
         table += form.bytes(tag, 2) + form.bytes(kind, 2) + form.bytes(count, form.word) + inline
     table += following or bytes(form.word)
     return bytes(table + bytes(behind - place - len(table)) + rest)
-
-
-def _dtype(form: _Form | Value, kind: str, size: int) -> np.dtype[np.integer]:
-    return np.dtype(f"{'<' if form.order == 'little' else '>'}{kind}{size}")

@@ -130,10 +130,8 @@ class Page:
 
     def _numbers(self, tag: int) -> tuple[int, ...]:
         value = self._values.get(tag)
-        if value is None or value.kind not in (1, 3, 4):
-            return ()
-        order = "<" if value.order == "little" else ">"
-        return tuple(np.frombuffer(value.data, f"{order}u{(0, 1, 0, 2, 4)[value.kind]}").tolist())
+        kind = {1: "<u1", 3: "<u2", 4: "<u4"}.get(value.kind) if value is not None else None
+        return tuple(np.frombuffer(value.data, kind).tolist()) if value is not None and kind else ()
 
     def _one(self, tag: int) -> int:
         """Return an integer in a tag; 0 if it is missing."""

@@ -180,23 +180,11 @@ def _reason(text: str) -> str:
 def decoded(image: Any, orientation: int) -> Array:
     """Decode all pixels into one array, upright."""
     shape = (image.height, image.width, image.bands) if image.bands > 1 else (image.height, image.width)
-    dtype = np.dtype(DTYPES[image.format])
-    if orientation == 1:
-        return np.frombuffer(image.write_to_memory(), dtype).reshape(shape)
-    turned = orientation >= 5
-    upright = np.empty((shape[1], shape[0], *shape[2:]) if turned else shape, dtype)
-    stored = upright.swapaxes(0, 1) if turned else upright
-    stored = stored[:: -1 if orientation in (3, 4, 6, 7) else 1, :: -1 if orientation in (2, 3, 7, 8) else 1]
-    region = pyvips.Region.new(image)
-    for top in range(0, shape[0], 16):  # turned a strip at a time, to avoid a second image in memory
-        strip = stored[top : top + 16]
-        data = region.fetch(0, top, shape[1], len(strip))
-        strip[:] = np.frombuffer(data, dtype).reshape(strip.shape)
-    return upright
+    pixels = np.frombuffer(image.write_to_memory(), DTYPES[image.format]).reshape(shape)
+    upright = pixels[:: -1 if orientation in (3, 4, 6, 7) else 1, :: -1 if orientation in (2, 3, 7, 8) else 1]
+    return np.ascontiguousarray(upright.swapaxes(0, 1) if orientation >= 5 else upright)
 
 
 def widen(pixels: Array, bits: int) -> None:
     """Fill the low bits, which libvips leaves empty, so that white is 65535."""
-    for top in range(0, len(pixels), 64):
-        strip = pixels[top : top + 64]
-        strip |= strip >> bits
+    pixels |= pixels >> bits
