@@ -15,7 +15,7 @@ import numpy as np
 import pyvips
 
 from supple.errors import GapWarning, LayerWarning, SuppleError, argument, caller, shown
-from supple.media.files import PathLike, check_suffix, replacing
+from supple.media.files import PathLike, check_suffix, replacing, unwritable
 from supple.media.image import dpx, exif, formats
 from supple.media.image.headers import NO_EXIF, collected, dressed, extra_of, facts, finish, profile_name
 from supple.media.image.tiff import MASK, Page, Tiff, swapped, tagged
@@ -164,7 +164,7 @@ def check_options(
     if compression is not None and compression not in known:
         names = f"choose from {', '.join(known)}" if known else "leave it out"
         what = f"{argument('compression')} {compression} is none of {form.name if form else name}"
-        raise SuppleError(f"cannot write {name}: {what}: {names}")
+        raise unwritable(path, what, names)
 
 
 def read(path: PathLike, *, pages: bool = False, whole: bool = False) -> Picture:

@@ -87,8 +87,7 @@ def of_exr(held: exr.Exr) -> Any:
 
 
 # Kept: libvips takes YCbCr for RGB (test_a_tiff_in_ycbcr_that_pillow_wrote), divides colours by their opacity
-# (test_multiplied_colours_are_averaged_as_they_are), nor reads doubles and planes of tiles
-# (test_planes).
+# (test_multiplied_colours_are_averaged_as_they_are), and reads neither doubles nor planes of tiles (test_planes).
 def of_tiff(path: PathLike, number: int = 0) -> Any:
     """Open a page of a TIFF; decode what libvips reads wrongly."""
     page = Page(path, number)
