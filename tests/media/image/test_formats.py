@@ -140,6 +140,7 @@ def test_an_animation_is_no_picture_without_a_word(tmp_path: Path, suffix: str) 
 
 @pytest.mark.parametrize("suffix", [".png", ".webp"])
 @pytest.mark.parametrize("target", ["out.mkv", "out-%02d.png", "out/"])
+@pytest.mark.filterwarnings("ignore:.* plays over and over")
 def test_an_animation_is_a_clip(tmp_path: Path, suffix: str, target: str) -> None:
     frames = animation(tmp_path / f"in{suffix}")
     strokes = [supple.Stroke.grab((30, 30, 2), to=(33, 30, 2), radius=3)]

@@ -29,7 +29,7 @@ _ROOM = 2**24  # bytes in all
 _PREFIX = b"Exif\0\0"
 SHAPED = b'{"shape": '  # tifffile's description of an array, which may become one of another shape
 # for each type of value its bytes, and those that the byte order swaps
-_SIZES = {1: 1, 2: 1, 3: 2, 4: 4, 5: 8, 6: 1, 7: 1, 8: 2, 9: 4, 10: 8, 11: 4, 12: 8, 13: 4, 129: 1}
+_SIZES = {1: 1, 2: 1, 3: 2, 4: 4, 5: 8, 6: 1, 7: 1, 8: 2, 9: 4, 10: 8, 11: 4, 12: 8, 129: 1}
 _TURNED = {**_SIZES, 5: 4, 10: 4}
 _LONG8 = 16
 Order: TypeAlias = Literal["little", "big"]
@@ -131,7 +131,7 @@ class Reader:
             self.whole = False
             return None
         self.room -= size
-        return Value({13: 4, 129: 2}.get(kind, kind), form.swapped(kind, data))
+        return Value(2 if kind == 129 else kind, form.swapped(kind, data))
 
     def integer(self, entry: bytes) -> int:
         """Return the integer that an entry holds itself; 0 for other types."""

@@ -73,9 +73,9 @@ def encoded(pixels: Array, codec: str, pixel_format: str, options: Mapping[str, 
     return b"".join(bytes(packet) for packet in (*context.encode(frame), *context.encode(None)))
 
 
-def reading(path: PathLike, kind: str = "") -> AbstractContextManager[None]:
-    """Convert a codec's errors to one sentence, with the kind of the file, if it is known."""
-    return refusing(lambda error: damaged(path, kind or said(error)), av.FFmpegError)
+def reading(path: PathLike) -> AbstractContextManager[None]:
+    """Convert a codec's errors to one sentence."""
+    return refusing(lambda error: damaged(path, said(error)), av.FFmpegError)
 
 
 def writing(path: PathLike) -> AbstractContextManager[None]:

@@ -69,7 +69,7 @@ def _by_ffmpeg(path: PathLike, codec: str, form: str) -> tuple[Any, str]:
     from supple.media.image import ffmpeg
 
     header = dpx.header_of(path) if form == "DPX" else b""
-    with ffmpeg.reading(path, dpx.described(header) if header else ""):
+    with ffmpeg.reading(path):
         pixels, bits = ffmpeg.decoded(path, codec)
     image = of_pixels(pixels, bits, pixels.ndim == 3 and pixels.shape[2] in (2, 4))
     if header:
@@ -87,7 +87,7 @@ def of_exr(held: exr.Exr) -> Any:
 
 
 # Kept: libvips takes YCbCr for RGB (test_a_tiff_in_ycbcr_that_pillow_wrote), divides colours by their opacity
-# (test_multiplied_colours_are_averaged_as_they_are), and reads neither doubles nor planes of tiles (test_planes).
+# (test_premultiplied_colours_stay_so_in_tiff_alone), and reads neither doubles nor planes of tiles (test_planes).
 def of_tiff(path: PathLike, number: int = 0) -> Any:
     """Open a page of a TIFF; decode what libvips reads wrongly."""
     page = Page(path, number)
