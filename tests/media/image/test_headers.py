@@ -101,6 +101,10 @@ class TestHeaders:
         image = pyvips.Image.new_from_array(smooth(20, 30), interpretation="srgb").copy(xres=12, yres=6)
         image.set_type(STRING, "resolution-unit", "cm")
         image.set_type(STRING, "exif-ifd0-Make", "Acme")
+        across, up = 12, 6
+        if source not in (".avif", ".webp"):
+            image.set_type(INT, "orientation", 6)
+            across, up = up, across
         options = {"compression": "av1"} if source == ".avif" else {}
         getattr(image, SAVERS[source])(str(tmp_path / f"in{source}"), **options)
         with warnings.catch_warnings():
@@ -110,19 +114,10 @@ class TestHeaders:
                 write(tmp_path / f"out{target}", picture.pixels, like=picture)
         for target in (".png", ".jpg", ".tif"):
             header = loaded(tmp_path / f"out{target}")[1]
-            assert (header["xres"], header["yres"]) == pytest.approx((12, 6), rel=1e-3)
+            assert (header["xres"], header["yres"]) == pytest.approx((across, up), rel=1e-3)
         if source != ".tif":
             header = loaded(tmp_path / "out.webp")[1]
-            assert Fraction(header["exif-ifd0-XResolution"].split()[0]) == 120
-
-    def test_resolution_turns_with_the_image(self, tmp_path):
-        image = pyvips.Image.new_from_array(smooth(20, 30), interpretation="srgb").copy(xres=12, yres=6)
-        image.set_type(INT, "orientation", 6)
-        image.tiffsave(str(tmp_path / "in.tif"))
-        picture = read(tmp_path / "in.tif")
-        write(tmp_path / "out.tif", picture.pixels, like=picture)
-        header = loaded(tmp_path / "out.tif")[1]
-        assert (header["xres"], header["yres"]) == pytest.approx((6, 12), rel=1e-3)
+            assert Fraction(header["exif-ifd0-XResolution"].split()[0]) == 10 * across
 
     @pytest.mark.parametrize("source", [".png", ".jpg", ".tif", ".webp", None])
     @pytest.mark.parametrize("suffix", FORMATS)
