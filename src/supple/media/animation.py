@@ -39,7 +39,8 @@ class _Png:
 
     def add(self, still: bytes, box: Box, lasts: Fraction) -> Fraction:
         """Append a frame; return the seconds that it lasts, as the file has them."""
-        first, at, chunks = self._number == 0, 8, []
+        first, at = self._number == 0, 8
+        chunks: list[tuple[bytes, bytes]] = []
         while at < len(still):
             size, kind = int.from_bytes(still[at : at + 4]), still[at + 4 : at + 8]
             chunks.append((kind, still[at + 8 : at + 8 + size]))
@@ -78,7 +79,8 @@ class _WebP:
 
     def add(self, still: bytes, box: Box, lasts: Fraction) -> Fraction:
         """Append a frame; return the seconds that it lasts, as the file has them."""
-        chunks, at = {}, 12
+        chunks: dict[bytes, bytes] = {}
+        at = 12
         while at + 8 <= len(still):
             size = int.from_bytes(still[at + 4 : at + 8], "little")
             chunks[still[at : at + 4]] = still[at + 8 : at + 8 + size]

@@ -98,10 +98,9 @@ class Picture:
         name, tiff, pixels = name or "the picture", self._header.get("tiff"), self.pixels
         if self.pages > 1:
             pixels = pixels.reshape(self.pages, -1, *pixels.shape[1:])
-        real, nodata, gaps = pixels.dtype.kind == "f", None, None
-        if averaged and tiff is not None and (nodata := tiff.nodata) is not None:
-            with np.errstate(over="ignore"):
-                gaps = pixels == nodata
+        real, nodata = pixels.dtype.kind == "f", tiff.nodata if averaged and tiff is not None else None
+        with np.errstate(over="ignore"):
+            gaps = pixels == nodata if nodata is not None else None
         if gaps is not None and (count := np.count_nonzero(gaps)):
             what = "their neighbours too, as far as the filter reaches" if real else "they are mixed with others"
             advice = "" if real else f": {argument('filter', 'nearest')} keeps them apart"
@@ -123,7 +122,7 @@ class Picture:
             made[..., seen], made[..., rest] = first, second
         else:
             made = warp(pixels, extra == (2,), channels)
-        if real and gaps is not None and gaps.any():
+        if real and nodata is not None and gaps is not None and gaps.any():
             np.copyto(made, nodata, where=np.isnan(made))
         header = dict(self._header)
         if regridded and tiff is not None and tiff.has_place:
@@ -160,11 +159,10 @@ def check_options(
         raise SuppleError(f"cannot write {name} with quality {quality}: quality goes from 1 to 100")
     if lossless and form is formats.JPEG:
         raise SuppleError(f"cannot write {name} without loss: JPEG always loses: write PNG, TIFF, WebP or AVIF")
-    known = formats.COMPRESSIONS.get(form.name, ()) if form is not None else (compression,)
-    if compression is not None and compression not in known:
+    known = formats.COMPRESSIONS.get(form.name, ()) if form is not None else ()
+    if compression is not None and form is not None and compression not in known:
         names = f"choose from {', '.join(known)}" if known else "leave it out"
-        what = f"{argument('compression')} {compression} is none of {form.name if form else name}"
-        raise unwritable(path, what, names)
+        raise unwritable(path, f"{argument('compression')} {compression} is none of {form.name}", names)
 
 
 def read(path: PathLike, *, pages: bool = False, whole: bool = False) -> Picture:

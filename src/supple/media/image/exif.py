@@ -157,8 +157,9 @@ def fitted(block: bytes, most: int) -> bytes:
     found, form, _ = _parsed(block)
     folders = [found, *(item for item in found.values() if isinstance(item, dict))]
     while len(block) > most:
-        tags = [(k, tag) for k, folder in enumerate(folders) for tag, item in folder.items() if isinstance(item, Value)]
-        k, tag = max(tags, key=lambda at: len(folders[at[0]][at[1]].data))
+        values = [(len(item.data), k, tag) for k, folder in enumerate(folders) for tag, item in folder.items()
+                  if isinstance(item, Value)]  # fmt: skip
+        _, k, tag = max(values)
         del folders[k][tag]
         block = _block(found, form)
     return block

@@ -244,7 +244,7 @@ def read(path: PathLike, box: Box | None = None) -> Exr:
     groups = _grouped(path, list(planes), headers)
     arrays = []
     for _, channels in groups:
-        each = []
+        each: list[Array] = []
         for c in channels:  # float32 holds any 16 bits of an integer
             parts = [planes[c] >> 16, planes[c] & 0xFFFF] if c.planes == 2 else [planes[c]]
             each += [_over(part.astype(np.float32), made.windows[c.part], box) for part in parts]
