@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import os
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -15,8 +13,6 @@ import supple
 from supple.files import warp_file
 from supple.files.recipes import read_recipe, write_recipe
 from supple.media import image
-from tests.children import SOURCE
-from tests.effort import soak
 
 DATA = Path(supple.__file__).parent / "examples" / "data"
 RECIPE = supple.Recipe(border=10, strokes=(supple.Stroke.grab((30, 20), to=(36, 24), radius=15),))
@@ -97,37 +93,3 @@ def test_the_photographs_are_small_and_their_licences_named() -> None:
     assert len(pictures) == 3
     assert all(f"`{picture.name}`" in text for picture in pictures)
     assert sum(picture.stat().st_size for picture in pictures) < 400_000
-
-
-_PEAK = """
-import resource, sys
-from supple.cli import command
-status = command(sys.argv[1:])
-print(status, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
-"""
-
-
-def peak(*arguments: str) -> float:
-    """Run a command line in a process of its own; return the most memory it took, in MiB."""
-    environment = {**os.environ, "PYTHONPATH": SOURCE}
-    done = subprocess.run(
-        [sys.executable, "-c", _PEAK, *arguments], env=environment, capture_output=True, encoding="utf-8", check=True
-    )
-    status, size = done.stdout.split()
-    assert status == "0", done.stderr
-    return float(size) if sys.platform != "darwin" else float(size) / 1024
-
-
-@soak("the memory of a command, whose parts have tests of theirs")
-def test_memory(tmp_path: Path) -> None:
-    # Smaller than what the bar is stated for; what comes on top of the pixels hardly depends on the size.
-    y, x = np.mgrid[:3072, :3072]
-    pixels = np.stack([x >> 4, y >> 4, (x + y) >> 5], axis=-1).astype(np.uint8)
-    small, big, target = (str(tmp_path / name) for name in ("small.png", "big.png", "out.png"))
-    image.write(small, pixels[:16, :16].copy())
-    image.write(big, pixels)
-    del x, y
-    grab = ["--grab", "8,8:9,9", "--radius", "30", "--force", "--quiet"]
-    idle = peak("warp", small, target, *grab)
-    used = peak("warp", big, target, "--grab", "1500,1500:1900,1700", "--radius", "900", *grab[4:])
-    assert used - idle <= 2 * pixels.nbytes / 2**20 + 100

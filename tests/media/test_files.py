@@ -50,17 +50,6 @@ def test_the_temporary_file_is_hidden_beside_the_target_and_keeps_its_suffixes(t
         assert not (tmp_path / "brain.nii.gz").exists()
 
 
-def test_an_existing_file_is_kept_unless_forced(tmp_path):
-    target = tmp_path / "out.png"
-    target.write_bytes(b"old")
-    with pytest.raises(SuppleError, match=r"out\.png exists already: choose another name, or force=True$"):
-        put(target)
-    assert target.read_bytes() == b"old"
-    put(target, force=True)
-    assert target.read_bytes() == b"new"
-    assert os.listdir(tmp_path) == ["out.png"]
-
-
 @pytest.mark.parametrize("error", [KeyboardInterrupt, SystemExit, ZeroDivisionError, SuppleError])
 @pytest.mark.parametrize("force", [False, True])
 def test_whatever_ends_the_work_leaves_the_folder_as_it_was(tmp_path, error, force):
@@ -183,17 +172,6 @@ def test_what_the_rights_do_not_tell_is_found_before_the_work():
         replacing("/proc/self/out.png"),
     ):
         pytest.fail("the work has begun")
-
-
-@pytest.mark.parametrize("code", [errno.ENOSPC, errno.EFBIG, errno.EACCES, errno.EIO])
-def test_errors_of_the_system_become_one_sentence(tmp_path, code):
-    def fail():
-        raise OSError(code, os.strerror(code))
-
-    with pytest.raises(SuppleError, match=f"out.png: {os.strerror(code)}: (make room|choose)") as caught:
-        put(tmp_path / "out.png", then=fail)
-    assert isinstance(caught.value.__cause__, OSError)
-    assert os.listdir(tmp_path) == []
 
 
 def test_the_trouble_of_another_file_names_it(tmp_path):

@@ -28,7 +28,7 @@ from supple.files.options import ClipOptions, GridOptions, PathLike
 from supple.folding.resolved import warn_of_still
 from supple.media.base import Clip, ClipWarning, CountError
 from supple.media.files import check_output, replacing
-from supple.media.image import check_compression, check_quality, check_target
+from supple.media.image import check_options, check_target
 from supple.media.image.formats import SUFFIXES as SUFFIXES_IN
 from supple.media.image.formats import SUFFIXES_OUT as PICTURES_OUT
 from supple.media.medium import VIDEOS_OUT, is_animated
@@ -230,8 +230,7 @@ def check(job: Job) -> None:
         if one or has_number(target):
             check_target(target)
         refuse_encoding(job.clip, target, "a picture" if one else "pictures")
-        check_quality(target, job.quality)
-        check_compression(target, job.compression)
+        check_options(target, quality=job.quality, lossless=job.lossless, compression=job.compression)
     elif suffix_of(target) in PICTURES_OUT:
         stem, suffix = os.path.splitext(name)
         raise SuppleError(

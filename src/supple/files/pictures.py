@@ -22,8 +22,7 @@ from supple.media.files import check_output, replacing
 from supple.media.image import (
     ImageWarning,
     Picture,
-    check_compression,
-    check_quality,
+    check_options,
     check_target,
     read,
     warn_of_exact,
@@ -38,11 +37,7 @@ from supple.strokes import fit_recipe
 def check(job: Job) -> None:
     """Raise SuppleError for an invalid target or option, before an image is read."""
     check_target(job.target)
-    check_quality(job.target, job.quality)
-    check_compression(job.target, job.compression)
-    if job.lossless and _format(job.target) == "JPEG":
-        text = f"cannot write {shown(job.target)} without loss: JPEG always loses: write PNG, TIFF, WebP or AVIF"
-        raise SuppleError(text)
+    check_options(job.target, quality=job.quality, lossless=job.lossless, compression=job.compression)
     check_output(job.target, force=job.force)
 
 
@@ -85,22 +80,22 @@ def warp(job: Job, tell: Tell) -> Warped:
             what = "holds no opacity, and the empty corners are black"
             warnings.warn(f"{shown(target)} {what}: {argument('fill')} names a colour", ImageWarning, stacklevel=3)
     bounded = picture.pixels.dtype.kind == "f" if job.clamp is None else job.clamp
-    nearest, groups = replace(sampling, filter="nearest"), () if layers is None else layers.groups
     options: dict[str, Any] = {"clamp": bounded, "device": job.device, "name": name}
-    exact = nearest if groups and groups[0][0] else sampling
-    picture, found = warp_picture(picture, space, exact, regridded=regrid is not None, **options)
-    if layers is not None:  # of the others, what is outside is 0
-        others = [replace(nearest if exact else sampling, fill=0.0) for exact, _ in groups[1:]]
-        pairs = zip(layers.arrays[1:], others, strict=True)
-        arrays = [warp_picture(Picture(a), space, how, regridded=False, **options)[0].pixels for a, how in pairs]
+    groups = ((False, ()),) if layers is None else layers.groups
+    own_how, *others = (replace(sampling, filter="nearest") if exact else sampling for exact, _ in groups)
+    picture, found = warp_picture(picture, space, own_how, regridded=regrid is not None, **options)
+    if layers is not None:
+        arrays = [picture.pixels]
+        for array, how in zip(layers.arrays[1:], others, strict=True):  # outside of which is 0
+            how = replace(how, fill=0.0)
+            arrays.append(warp_picture(Picture(array), space, how, regridded=False, **options)[0].pixels)
         layers = layers if regrid is None else layers.sized(picture.pixels.shape[:2])
-        layers = replace(layers, arrays=(picture.pixels, *arrays))
+        layers = replace(layers, arrays=tuple(arrays))
         picture = replace(picture, _header={**picture._header, "exr": layers})
         warn_of_exact(layers)
     warn_of(found, sampling.tolerance, 3, folds_of(maps), only_name(maps))
     tell("write", 2, 3)
-    how: dict[str, Any] = {name: getattr(job, name) for name in ("quality", "lossless", "compression", "force")}
-    write(target, picture.pixels, like=picture, **how)
+    write(target, picture, quality=job.quality, lossless=job.lossless, compression=job.compression, force=job.force)
     return replace(
         made, error=found.error, grid=regrid, own=None if held == own else own, folded=found.folded,
         outside=found.outside, unsolved=found.unknown,

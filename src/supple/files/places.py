@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 import os
 import re
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
+from zlib import crc32
 
 from supple.errors import SuppleError, argument, listing, shown
 from supple.media.files import PathLike, is_store
@@ -50,7 +50,6 @@ class Places:
     percent_of: str | None = None
     used: bool = field(default=False, init=False)
     scaled: bool = field(default=False, init=False)
-    _any: dict[str, float] = field(default_factory=dict, init=False)
 
     @cached_property
     def faces(self) -> tuple[Face, ...]:
@@ -102,13 +101,13 @@ class Places:
     def length(self, name: str, text: str, wanted: str) -> float:
         """Return a length from text: a number, or a percentage, ``12%``; ``name`` is that of the option, for errors."""
         bare, percent = text.strip().removesuffix("%"), text.strip().endswith("%")
+        self.used |= percent
+        self.scaled |= percent
         try:
             number = float(bare)
         except ValueError:
-            raise SuppleError(f"{name} must be {wanted}, found {text!r}") from None
-        self.used |= percent
-        self.scaled |= percent
-        if percent and not abs(number) < math.inf:
+            number = math.nan
+        if math.isnan(number) or (percent and math.isinf(number)):
             raise SuppleError(f"{name} must be {wanted}, found {text!r}")
         return number * self.unit / 100 if percent else number
 
@@ -123,7 +122,7 @@ class Places:
         self.used = True
         mark = plain(found[1])
         if self.medium is None:
-            x = self._any.setdefault(f"{mark}@{found[2]}", 0.01 * (len(self._any) + 1))
+            x = crc32(f"{mark}@{found[2]}".encode()) / 2**32
             at = (x, x * x)  # of which no three are on one line, and none far away
         else:
             ((_, face),) = self.chosen(int(found[2] or 1))
@@ -141,17 +140,12 @@ class Places:
         """Return the text of an option, with numbers in place of landmarks, and of a last length in percent."""
         ends = text.split(":")
         count = len(ends) if name in ("--grab", "--mirror") else len(ends) - 1 if name == "--push" else 1
-
-        def parts() -> Iterator[str]:
-            for k, part in enumerate(ends):
-                if k < count and _POINT.fullmatch(part) and part.strip().lower() not in _NUMBERS:
-                    yield ",".join(map(repr, self.point(name, part)))
-                elif k >= count and name == "--push" and part.strip().endswith("%"):
-                    yield repr(self.length(name, part, "a length in percent"))
-                else:
-                    yield part
-
-        return ":".join(parts())
+        for k, part in enumerate(ends):
+            if k >= count and name == "--push" and part.strip().endswith("%"):
+                ends[k] = repr(self.length(name, part, "a length in percent"))
+            elif k < count and _POINT.fullmatch(part) and part.strip().lower() not in _NUMBERS:
+                ends[k] = ",".join(map(repr, self.point(name, part)))
+        return ":".join(ends)
 
     def resolve(self, recipe: dict[str, Any]) -> None:
         """Put numbers in place of landmarks and percentages in the JSON of a recipe."""

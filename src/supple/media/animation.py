@@ -13,15 +13,13 @@ from fractions import Fraction
 from pathlib import Path
 from typing import IO, Any
 
-import numpy as np
-
 from supple.engine.work import Array
 from supple.errors import shown
 from supple.media.base import ClipWarning
 from supple.media.files import PathLike, replacing
+from supple.media.image.formats import bounds
 from supple.media.sequence import PictureSink
 
-Chunk = tuple[bytes, bytes]
 Box = tuple[int, int, int, int]
 _SHORT, _LONGEST = 65535, (1 << 24) - 1  # of a PNG's fractions of a second, and of a WebP's milliseconds
 
@@ -30,7 +28,7 @@ class _Png:
     """An APNG: the chunks of the first still, then the data of each frame, numbered."""
 
     def __init__(self, file: IO[bytes], count: int, plays: int) -> None:
-        self._file, self._count, self._plays, self._number = file, count, plays, 0
+        self._file, self._begin, self._number = file, struct.pack(">II", count, plays), 0
 
     def _put(self, kind: bytes, data: bytes) -> None:
         self._file.write(struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data)))
@@ -41,18 +39,18 @@ class _Png:
 
     def add(self, still: bytes, box: Box, lasts: Fraction) -> Fraction:
         """Append a frame; return the seconds that it lasts, as the file has them."""
-        first, at, data = self._number == 0, 8, b""
-        if first:
-            self._file.write(still[:at])
+        first, at = self._number == 0, 8
+        chunks: list[tuple[bytes, bytes]] = []
         while at < len(still):
             size, kind = int.from_bytes(still[at : at + 4]), still[at + 4 : at + 8]
-            if kind == b"IDAT":
-                data += still[at + 8 : at + 8 + size]
-            elif first and kind != b"IEND":
-                self._file.write(still[at : at + 12 + size])
+            chunks.append((kind, still[at + 8 : at + 8 + size]))
             at += 12 + size
         if first:
-            self._put(b"acTL", struct.pack(">II", self._count, self._plays))
+            self._file.write(still[:8])
+            for kind, data in chunks:
+                if kind not in (b"IDAT", b"IEND"):
+                    self._put(kind, data)
+            self._put(b"acTL", self._begin)
         lasts = max(lasts, Fraction(0))  # after rounding of those before
         if max(lasts.as_integer_ratio()) > _SHORT:
             scale = max(1, int(_SHORT / max(float(lasts), 1.0)))
@@ -60,6 +58,7 @@ class _Png:
         left, top, width, height = box
         head = struct.pack(">IIIIHHBB", width, height, left, top, *lasts.as_integer_ratio(), 0, 0)
         self._numbered(b"fcTL", head)
+        data = b"".join(data for kind, data in chunks if kind == b"IDAT")
         self._put(b"IDAT", data) if first else self._numbered(b"fdAT", data)
         return lasts
 
@@ -73,38 +72,39 @@ class _WebP:
 
     def __init__(self, file: IO[bytes], size: tuple[int, int], alpha: bool, plays: int) -> None:
         self._file, self._size, self._alpha, self._plays = file, size, alpha, min(plays, _SHORT)
-        self._last: list[Chunk] | None = None
+        self._last: dict[bytes, bytes] | None = None
 
     def _put(self, kind: bytes, data: bytes) -> None:
         self._file.write(_riff(kind, data))
 
     def add(self, still: bytes, box: Box, lasts: Fraction) -> Fraction:
         """Append a frame; return the seconds that it lasts, as the file has them."""
-        chunks, at = [], 12
+        chunks: dict[bytes, bytes] = {}
+        at = 12
         while at + 8 <= len(still):
             size = int.from_bytes(still[at + 4 : at + 8], "little")
-            chunks.append((still[at : at + 4], still[at + 8 : at + 8 + size]))
+            chunks[still[at : at + 4]] = still[at + 8 : at + 8 + size]
             at += 8 + size + size % 2
         if self._last is None:
-            known = {kind: data for kind, data in chunks if kind in (b"ICCP", b"EXIF", b"XMP ")}
+            known = {kind: data for kind, data in chunks.items() if kind in (b"ICCP", b"EXIF", b"XMP ")}
             flags = 2 | 32 * (b"ICCP" in known) | 16 * self._alpha | 8 * (b"EXIF" in known) | 4 * (b"XMP " in known)
             self._file.write(b"RIFF\0\0\0\0WEBP")
             self._put(b"VP8X", struct.pack("<I", flags) + _threes(*(n - 1 for n in self._size)))
             if profile := known.pop(b"ICCP", None):
                 self._put(b"ICCP", profile)
             self._put(b"ANIM", struct.pack("<IH", 0, self._plays))
-            self._last = [*known.items()]
+            self._last = known
         left, top, width, height = box
         ticks = min(max(1, round(lasts * 1000)), _LONGEST)
         head = _threes(left // 2, top // 2, width - 1, height - 1, ticks) + b"\2"  # replaces what is there
-        data = b"".join(_riff(kind, data) for kind, data in chunks if kind in (b"ALPH", b"VP8 ", b"VP8L"))
+        data = b"".join(_riff(kind, chunks[kind]) for kind in (b"ALPH", b"VP8 ", b"VP8L") if kind in chunks)
         self._put(b"ANMF", head + data)
         return Fraction(ticks, 1000)
 
     def finish(self) -> None:
         """Write the end, and the size at the beginning."""
-        for chunk in self._last or ():
-            self._put(*chunk)
+        for kind, data in (self._last or {}).items():
+            self._put(kind, data)
         size = self._file.tell() - 8
         if size >> 32:
             raise OSError(errno.EFBIG, "a WebP ends at 4 GB")
@@ -125,11 +125,13 @@ class AnimationSink(PictureSink):
 
     def __init__(self, clip: Any, target: Path, folder: Path, file: IO[bytes], options: dict[str, Any]) -> None:
         super().__init__(clip, target.parent, folder, lambda k: target.name, options)
-        (height, width), alpha = clip.layout.shape, clip.layout.groups[0].alpha
-        size = (height, width) if round(clip.rotation / 90) % 2 else (width, height)
-        webp, plays = target.suffix.lower() == ".webp", clip.plays or 0
-        self._made = _WebP(file, size, alpha, plays) if webp else _Png(file, clip.count, plays)
-        self._step = 2 if webp else 1  # places are even in a WebP
+        self._made: _WebP | _Png = _Png(file, clip.count, clip.plays or 0)
+        self._step = 1
+        if target.suffix.lower() == ".webp":
+            height, width = clip.layout.shape
+            size = (height, width) if round(clip.rotation / 90) % 2 else (width, height)
+            self._made = _WebP(file, size, clip.layout.groups[0].alpha, clip.plays or 0)
+            self._step = 2  # places are even
         self._before: Array | None = None
         self._due: tuple[bytes, Box] | None = None
         self._end = self._start = self._shown = Fraction(0)
@@ -145,9 +147,8 @@ class AnimationSink(PictureSink):
         left, top, width, height = box = _changed(pixels, self._before, self._step)
         self._before = pixels.copy()
         self._save(k, pixels[top : top + height, left : left + width], like)
-        place = self._temporary / self._names(k)
-        self._due = place.read_bytes(), box
-        place.unlink()
+        self._due = (self._temporary / self._names(k)).read_bytes(), box
+        (self._temporary / self._names(k)).unlink()
 
     def _flush(self, until: Fraction) -> None:
         """Write the frame before, which is shown until then; what its time is rounded by, the next makes good."""
@@ -164,11 +165,8 @@ def _changed(pixels: Array, before: Array | None, step: int) -> Box:
     """Return the box around the pixels that differ: x, y, width and height; one pixel if none do."""
     if before is None:
         return 0, 0, pixels.shape[1], pixels.shape[0]
-    differ = (pixels != before).any(axis=2)
-    (left, right), (top, bottom) = (
-        (int(found[0]) // step * step, int(found[-1]) + 1) if len(found) else (0, 1)
-        for found in (np.flatnonzero(differ.any(axis=axis)) for axis in (0, 1))
-    )
+    left, top, right, bottom = bounds((pixels != before).any(axis=2)) or (0, 0, 1, 1)
+    left, top = left // step * step, top // step * step
     return left, top, right - left, bottom - top
 
 
@@ -198,12 +196,7 @@ def writer(
         tempfile.TemporaryDirectory(prefix=".", dir=temporary.parent) as folder,
         open(temporary, "wb") as file,
     ):
-        sink = AnimationSink(
-            clip,
-            Path(target),
-            Path(folder),
-            file,
-            {"quality": quality, "lossless": lossless, "compression": compression},
-        )
+        options = {"quality": quality, "lossless": lossless, "compression": compression}
+        sink = AnimationSink(clip, Path(target), Path(folder), file, options)
         yield sink
         sink.finish()

@@ -20,13 +20,9 @@ from supple.errors import SuppleError
 from supple.files import warp_file
 from supple.media.image import DepthWarning, MetadataWarning, PageWarning, Picture, info, read, write
 from supple.media.video import open_clip as open_video
+from tests.media.image.pictures import noise, smooth
 
 Array = npt.NDArray[Any]
-
-
-def smooth(height: int, width: int) -> Array:
-    y, x = np.mgrid[:height, :width]
-    return np.stack([3 * x, 4 * y, 255 - 2 * x], axis=-1).astype(np.uint8)
 
 
 def test_a_tiff_in_ycbcr_that_pillow_wrote(tmp_path: Path) -> None:
@@ -38,15 +34,8 @@ def test_a_tiff_in_ycbcr_that_pillow_wrote(tmp_path: Path) -> None:
         assert np.abs(read(tmp_path / name).pixels.astype(int) - pixels).mean() < 3
 
 
-def noise(dtype: str, *shape: int) -> Array:
-    random = np.random.default_rng(sum(shape))
-    if dtype == "f4":
-        return random.uniform(0, 20, shape).astype("f4")
-    return random.integers(0, np.iinfo(dtype).max, shape, dtype, endpoint=True)
-
-
 def test_radiance(tmp_path: Path) -> None:
-    pixels = noise("f4", 19, 23, 3)
+    pixels = 20 * np.random.default_rng(1).random((19, 23, 3), np.float32)
     write(tmp_path / "out.hdr", pixels)
     picture = read(tmp_path / "out.hdr")
     assert picture.format == "Radiance"
@@ -150,13 +139,12 @@ def test_an_animation_is_no_picture_without_a_word(tmp_path: Path, suffix: str) 
 
 
 @pytest.mark.parametrize("suffix", [".png", ".webp"])
-@pytest.mark.parametrize("target", ["out.mkv", "out.gif", "out-%02d.png", "out/"])
+@pytest.mark.parametrize("target", ["out.mkv", "out-%02d.png", "out/"])
 @pytest.mark.filterwarnings("ignore:.* plays over and over")
 def test_an_animation_is_a_clip(tmp_path: Path, suffix: str, target: str) -> None:
     frames = animation(tmp_path / f"in{suffix}")
     strokes = [supple.Stroke.grab((30, 30, 2), to=(33, 30, 2), radius=3)]
-    recipe, exact = supple.Recipe(strokes=strokes), "gif" not in target
-    made = warp_file(tmp_path / f"in{suffix}", f"{tmp_path}/{target}", recipe, lossless=exact)
+    made = warp_file(tmp_path / f"in{suffix}", f"{tmp_path}/{target}", supple.Recipe(strokes=strokes), lossless=True)
     assert made.frames == 5
     if "mkv" in target:
         with open_video(tmp_path / "out.mkv") as clip:
@@ -165,24 +153,9 @@ def test_an_animation_is_a_clip(tmp_path: Path, suffix: str, target: str) -> Non
                 frame.copy_to(arrays)
                 np.testing.assert_array_equal(arrays[0][:20, ..., :3], true[:20])
             assert clip.survey.duration == pytest.approx(0.55, abs=0.06)
-    elif target == "out.gif":
-        with Image.open(tmp_path / "out.gif") as image:
-            assert image.n_frames == 5
     else:
         names = sorted(path.name for path in tmp_path.glob("out*/*" if "/" in target else "out-*"))
         assert names == [f"{k:05d}.png" if "/" in target else f"out-{k:02d}.png" for k in range(1, 6)]
-
-
-@pytest.mark.parametrize(
-    ("name", "head", "what"),
-    [
-        ("in.jxl", b"\0\0\0\x0cJXL \r\n\x87\n", "it is JPEG XL, which is not supported here: convert it, to "),
-    ],
-)
-def test_what_is_not_supported_is_not_called_damaged(tmp_path: Path, name: str, head: bytes, what: str) -> None:
-    (tmp_path / name).write_bytes(head + bytes(100))
-    with pytest.raises(SuppleError, match=what):
-        read(tmp_path / name)
 
 
 @pytest.mark.parametrize("told", ["system error: Unknown error -1", "write failed"])
@@ -220,24 +193,6 @@ def test_all_pages_of_a_tiff_are_bent_alike(tmp_path: Path) -> None:
     Image.fromarray(pages[0]).save(tmp_path / "odd.tif", save_all=True, append_images=[Image.fromarray(pages[0][:9])])
     with pytest.warns(PageWarning, match="holds 2 pages, and only one"):
         warp_file(tmp_path / "odd.tif", tmp_path / "one.tif", recipe)
-
-
-@pytest.mark.parametrize("order", ["<", ">"])
-@pytest.mark.parametrize("channels", [(), (3,), (4,)])
-def test_tiff_of_doubles(tmp_path: Path, order: str, channels: tuple[int, ...]) -> None:
-    tifffile = pytest.importorskip("tifffile")
-    pixels = np.random.default_rng(0).normal(size=(40, 60, *channels))
-    photometric = "rgb" if channels else "minisblack"
-    options = {"compression": "deflate"} if order == "<" else {"tile": (16, 16)}
-    tifffile.imwrite(tmp_path / "in.tif", pixels, byteorder=order, photometric=photometric, **options)
-    picture = read(tmp_path / "in.tif")
-    assert (picture.pixels.dtype, picture.bits, picture.alpha) == (np.float64, 64, channels == (4,))
-    np.testing.assert_array_equal(picture.pixels, pixels)
-    recipe = supple.Recipe(strokes=[supple.Stroke.grab((20, 20), to=(24, 20), radius=6)])
-    warp_file(tmp_path / "in.tif", tmp_path / "out.tif", recipe)
-    true = supple.Deformation.from_recipe(recipe, (40, 60)).warp(pixels, alpha=picture.alpha, clamp=True)
-    np.testing.assert_array_equal(tifffile.imread(tmp_path / "out.tif"), true)
-    np.testing.assert_array_equal(read(tmp_path / "out.tif").pixels, true)
 
 
 def dpx(path: Path, pixels: Array, bits: int, order: str, curve: int = 1, elements: int = 1, kind: int = 50) -> bytes:
@@ -284,7 +239,6 @@ def test_what_a_dpx_is_not_read_for(tmp_path: Path) -> None:
     pixels = np.zeros((8, 8, 3), int)
     dpx(tmp_path / "two.dpx", pixels, 10, ">", elements=2)
     dpx(tmp_path / "yuv.dpx", pixels, 8, ">", kind=102)
-    (tmp_path / "a.cin").write_bytes(b"\x80\x2a\x5f\xd7" + bytes(4000))
-    for name, text in (("two.dpx", "2 image elements"), ("yuv.dpx", "samples of kind 102"), ("a.cin", "it is Cineon")):
-        with pytest.raises(SuppleError, match=f"{name}: .*{text}.*not supported.*: "):
+    for name, text in (("two.dpx", "2 image elements"), ("yuv.dpx", "samples of kind 102")):
+        with pytest.raises(SuppleError, match=f"{name}: .*{text}.*not supported: "):
             read(tmp_path / name)

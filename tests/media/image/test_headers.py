@@ -52,14 +52,6 @@ class TestOrientation:
         write(tmp_path / "out.avif", picture.pixels, like=picture, lossless=True)
         np.testing.assert_array_equal(read(tmp_path / "out.avif").pixels, picture.pixels)
 
-    def test_in_xmp_follows(self, tmp_path):
-        xmp = b'<x:xmpmeta xmlns:x="adobe:ns:meta/"><r tiff:Orientation="6" dc:title="6"/></x:xmpmeta>'
-        save(tmp_path / "turned.jpg", smooth(20, 30), {"orientation": 6, "xmp-data": xmp})
-        picture = read(tmp_path / "turned.jpg")
-        write(tmp_path / "out.jpg", picture.pixels, like=picture)
-        expected = xmp.replace(b'Orientation="6"', b'Orientation="1"')
-        assert loaded(tmp_path / "out.jpg")[1]["xmp-data"] == expected
-
     def test_unheard_of_is_none(self, tmp_path):
         save(tmp_path / "odd.jpg", smooth(20, 30), {"orientation": 6})
         data = (tmp_path / "odd.jpg").read_bytes()
@@ -79,54 +71,40 @@ EXIF = {
     "exif-ifd3-GPSLatitude": "47/1 10/1 1234/100",
     "exif-ifd3-GPSLongitude": "8/1 30/1 0/1",
 }
-XMP = b'<x:xmpmeta xmlns:x="adobe:ns:meta/"><r title="bent"/></x:xmpmeta>'
+XMP = b'<x:xmpmeta xmlns:x="adobe:ns:meta/"><r tiff:Orientation="6" dc:title="6"/></x:xmpmeta>'
 
 
 class TestHeaders:
     @pytest.mark.parametrize("source", [*SOURCES, ".tif"])
     @pytest.mark.parametrize("target", FORMATS)
-    def test_profile_and_xmp_come_through(self, tmp_path, source, target):
+    def test_all_of_it_comes_through_upright(self, tmp_path, source, target):
         options = {"compression": "av1"} if source == ".avif" else {}
-        save(tmp_path / f"in{source}", smooth(20, 30), {"icc-profile-data": SRGB, "xmp-data": XMP}, **options)
-        picture = read(tmp_path / f"in{source}")
-        assert picture.icc == SRGB
-        write(tmp_path / f"out{target}", picture.pixels, like=picture)
-        header = loaded(tmp_path / f"out{target}")[1]
-        assert header["icc-profile-data"] == SRGB
-        assert header["xmp-data"] == XMP
-        assert read(tmp_path / f"out{target}").icc == SRGB
-
-    @pytest.mark.parametrize("source", SOURCES)
-    @pytest.mark.parametrize("target", SOURCES)
-    def test_exif_comes_through(self, tmp_path, source, target):
-        options = {"compression": "av1"} if source == ".avif" else {}
-        save(tmp_path / f"in{source}", smooth(20, 30), {**EXIF, "orientation": 6}, **options)
+        fields = {"icc-profile-data": SRGB, "xmp-data": XMP, "orientation": 6} | (EXIF if source != ".tif" else {})
+        save(tmp_path / f"in{source}", smooth(20, 30), fields, **options)
         data = (tmp_path / f"in{source}").read_bytes()
         if source == ".jpg":  # a maker who does not write ASCII
             (tmp_path / "in.jpg").write_bytes(data.replace(b"Jose!!", b"Jos\xe9!!"))
         before = loaded(tmp_path / f"in{source}")[1]
         picture = read(tmp_path / f"in{source}")
+        assert picture.icc == SRGB
         write(tmp_path / f"out{target}", picture.pixels, like=picture)
         after = loaded(tmp_path / f"out{target}")[1]
-        assert {name: after[name] for name in EXIF} == {name: before[name] for name in EXIF}
-        assert after["exif-ifd2-PixelXDimension"].startswith("20 ")
-        assert source != ".jpg" or b"Jos\xe9!!" in (tmp_path / f"out{target}").read_bytes()
-
-    def test_a_thumbnail_of_what_was_is_dropped(self, tmp_path):
-        thumbnail = pyvips.Image.new_from_array(smooth(8, 8)).jpegsave_buffer()
-        fields = {**EXIF, "exif-ifd1-Compression": "6", "jpeg-thumbnail-data": thumbnail}
-        save(tmp_path / "in.jpg", smooth(20, 30), fields)
-        assert thumbnail in (tmp_path / "in.jpg").read_bytes()
-        picture = read(tmp_path / "in.jpg")
-        write(tmp_path / "out.jpg", picture.pixels, like=picture)
-        assert thumbnail not in (tmp_path / "out.jpg").read_bytes()
-        assert not any(name.startswith("exif-ifd1") for name in loaded(tmp_path / "out.jpg")[1])
+        assert after["icc-profile-data"] == SRGB == read(tmp_path / f"out{target}").icc
+        assert after["xmp-data"] == XMP.replace(b'Orientation="6"', b'Orientation="1"')
+        if ".tif" not in (source, target):  # whose EXIF has tests of its own
+            assert {name: after[name] for name in EXIF} == {name: before[name] for name in EXIF}
+            assert after["exif-ifd2-PixelXDimension"].startswith("20 ")
+            assert source != ".jpg" or b"Jos\xe9!!" in (tmp_path / f"out{target}").read_bytes()
 
     @pytest.mark.parametrize("source", FORMATS)
     def test_resolution_comes_through(self, tmp_path, source):
         image = pyvips.Image.new_from_array(smooth(20, 30), interpretation="srgb").copy(xres=12, yres=6)
         image.set_type(STRING, "resolution-unit", "cm")
         image.set_type(STRING, "exif-ifd0-Make", "Acme")
+        across, up = 12, 6
+        if source not in (".avif", ".webp"):
+            image.set_type(INT, "orientation", 6)
+            across, up = up, across
         options = {"compression": "av1"} if source == ".avif" else {}
         getattr(image, SAVERS[source])(str(tmp_path / f"in{source}"), **options)
         with warnings.catch_warnings():
@@ -136,19 +114,10 @@ class TestHeaders:
                 write(tmp_path / f"out{target}", picture.pixels, like=picture)
         for target in (".png", ".jpg", ".tif"):
             header = loaded(tmp_path / f"out{target}")[1]
-            assert (header["xres"], header["yres"]) == pytest.approx((12, 6), rel=1e-3)
+            assert (header["xres"], header["yres"]) == pytest.approx((across, up), rel=1e-3)
         if source != ".tif":
             header = loaded(tmp_path / "out.webp")[1]
-            assert Fraction(header["exif-ifd0-XResolution"].split()[0]) == 120
-
-    def test_resolution_turns_with_the_image(self, tmp_path):
-        image = pyvips.Image.new_from_array(smooth(20, 30), interpretation="srgb").copy(xres=12, yres=6)
-        image.set_type(INT, "orientation", 6)
-        image.tiffsave(str(tmp_path / "in.tif"))
-        picture = read(tmp_path / "in.tif")
-        write(tmp_path / "out.tif", picture.pixels, like=picture)
-        header = loaded(tmp_path / "out.tif")[1]
-        assert (header["xres"], header["yres"]) == pytest.approx((6, 12), rel=1e-3)
+            assert Fraction(header["exif-ifd0-XResolution"].split()[0]) == 10 * across
 
     @pytest.mark.parametrize("source", [".png", ".jpg", ".tif", ".webp", None])
     @pytest.mark.parametrize("suffix", FORMATS)
@@ -164,7 +133,7 @@ class TestHeaders:
             assert image.tag_v2.get(296, 1) == 1 if suffix == ".tif" else True
             image.load()
         again = read(tmp_path / f"out{suffix}")
-        assert "xres" not in again._header
+        assert "resolution" not in again._header
         assert "exif-data" not in again._header
 
     @pytest.mark.parametrize("dots", [(300, 300), (118.11, 118.11), (72, 96)])
@@ -180,16 +149,6 @@ class TestHeaders:
             write(tmp_path / f"out{suffix}", picture.pixels, like=picture)
             with Image.open(tmp_path / f"out{suffix}") as image:
                 assert float(image.getexif()[282]) == pytest.approx(dots[0], rel=0.005)
-
-    def test_broken_exif_does_no_harm(self, tmp_path):
-        save(tmp_path / "in.jpg", smooth(20, 30), EXIF)
-        data = (tmp_path / "in.jpg").read_bytes()
-        start = data.index(b"Exif\0\0") + 6
-        (tmp_path / "in.jpg").write_bytes(data[:start] + bytes(200) + data[start + 200 :])
-        picture = read(tmp_path / "in.jpg")
-        for target in (".jpg", ".png", ".webp"):
-            write(tmp_path / f"out{target}", picture.pixels, like=picture)
-            assert info(tmp_path / f"out{target}")["width"] == 30
 
     @pytest.mark.skipif(not pyvips.type_find("VipsOperation", "uhdrsave"), reason="needs libvips 8.18")
     def test_a_gain_map_is_not_lost_in_silence(self, tmp_path):

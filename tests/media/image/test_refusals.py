@@ -78,9 +78,11 @@ class TestWhatCannotBeRead:
             b"1,2\n3,4\n",
             b"\xff\xd8",
             b"RIFF....WAVEfmt ",
+            b"\0\0\0\x0cJXL \r\n\x87\n" + bytes(100),
+            b"\x80\x2a\x5f\xd7" + bytes(4000),  # Cineon
         ],
     )
-    @pytest.mark.parametrize("suffix", [".png", ".csv", ".mat", ".v", ""])
+    @pytest.mark.parametrize("suffix", [".png", ".csv", ".mat", ".v"])
     def test_other_files(self, tmp_path, data, suffix, capfd):
         path = tmp_path / f"in{suffix}"
         path.write_bytes(data)
@@ -133,25 +135,17 @@ class TestWhatCannotBeWritten:
         ("suffix", "pixels", "message"),
         [
             (".jpg", noise("u1", 9, 9, 4), "JPEG holds no transparency: write PNG, TIFF, WebP or AVIF"),
-            (".jpg", noise("u1", 9, 9, 2), "JPEG holds no transparency: write PNG, TIFF, WebP or AVIF"),
             (".png", noise("f4", 9, 9), "PNG takes no float32 values: write a TIFF"),
-            (".jpg", noise("f4", 9, 9, 3), "JPEG takes no float32 values: write a TIFF"),
-            (".webp", noise("f4", 9, 9, 3), "WebP takes no float32 values: write a TIFF"),
             (".avif", noise("i2", 9, 9, 3), "AVIF takes no int16 values: write a TIFF"),
             (".tif", noise("u8", 9, 9), f"TIFF takes no uint64 values: {CONVERT}"),
             (".png", np.ones((9, 9), bool), f"PNG takes no bool values: {CONVERT}"),
             (".png", noise("u1", 9, 9, 5), "PNG does not hold 5 channels: write a TIFF"),
-            (".jpg", noise("u1", 9, 9, 7), "JPEG does not hold 7 channels: write a TIFF"),
-            (".jpg", np.zeros((2, 65_501), "u1"), f"JPEG ends at 65500 {SIDE} 65501 x 2: write PNG or TIFF"),
-            (".webp", np.zeros((16_384, 2), "u1"), f"WebP ends at 16383 {SIDE} 2 x 16384: write PNG or TIFF"),
-            (".avif", np.zeros((16_385, 2), "u1"), f"AVIF ends at 16384 {SIDE} 2 x 16385: write PNG or TIFF"),
+            (".jpg", np.zeros((2, 65_501), "u1"), f"JPEG ends at 65500 {SIDE} 65501 x 2: write a TIFF"),
             (".exr", noise("u1", 9, 9, 3), "OpenEXR takes no uint8 values: write a TIFF"),
-            (".hdr", noise("f4", 9, 9), "Radiance holds 3 channels, and not 1: write a TIFF"),
-            (".pgm", noise("u1", 9, 9, 3), "PGM holds 1 channels, and not 3: write a TIFF"),
-            (".bmp", noise("f4", 9, 9, 3), "BMP takes no float32 values: write TIFF or OpenEXR"),
-            (".jp2", noise("u1", 9, 9, 4), "JPEG 2000 holds no transparency: write PNG or TIFF"),
+            (".hdr", noise("f4", 9, 9), "Radiance does not hold 1 channels: write a TIFF"),
+            (".bmp", noise("f4", 9, 9, 3), "BMP takes no float32 values: write a TIFF"),
+            (".jp2", noise("u1", 9, 9, 4), "JPEG 2000 holds no transparency: write PNG, TIFF, WebP or AVIF"),
             (".png", np.zeros((0, 9), "u1"), "an image has shape (H, W) or (H, W, C), and not (0, 9)"),
-            (".png", np.zeros(9, "u1"), "an image has shape (H, W) or (H, W, C), and not (9,)"),
             (".png", np.zeros((1, 2, 3, 4), "u1"), "an image has shape (H, W) or (H, W, C), and not (1, 2, 3, 4)"),
         ],
     )

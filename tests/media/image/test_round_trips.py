@@ -10,7 +10,7 @@ import supple
 from supple.media.image import DepthWarning, info, read, write
 from supple.media.image.formats import TIFF
 from supple.media.image.formats import settings as saver_settings
-from tests.media.image.pictures import BLOB, FORMATS, SAVERS, loaded, noise, refused, save, smooth
+from tests.media.image.pictures import BLOB, FORMATS, SAVERS, noise, refused, save, smooth
 
 CMYK = bytes(pyvips.Operation.call("profile_load", "cmyk"))
 
@@ -23,6 +23,7 @@ class TestRoundTrips:
             for suffixes, dtypes, channels in (
                 ((".png", ".tif", ".tiff"), ("u1", "u2"), (1, 2, 3, 4)),
                 ((".tif",), ("f4", "i1", "i2", "u4", "i4"), (1, 2, 3, 4)),
+                ((".tif",), ("u2",), (7,)),
                 ((".exr",), ("f4",), (1, 3, 4)),
                 ((".dpx", ".sgi"), ("u1", "u2"), (1, 3, 4)),
                 ((".pfm",), ("f4",), (1, 3)),
@@ -46,25 +47,16 @@ class TestRoundTrips:
         assert picture.bits == pixels.dtype.itemsize * 8
         assert info(tmp_path / f"out{suffix}")["width"] == 23
 
-    @pytest.mark.parametrize("channels", [3, 4])
+    @pytest.mark.parametrize("channels", [1, 2, 3, 4])
     @pytest.mark.parametrize("suffix", [".webp", ".avif"])
-    def test_bit_for_bit_when_asked_for(self, tmp_path, suffix, channels):
+    def test_bit_for_bit_when_asked_for_and_grey_is_repeated(self, tmp_path, suffix, channels):
         pixels = noise("u1", 19, 23, channels)  # with colours where alpha is 0
         write(tmp_path / f"out{suffix}", pixels, lossless=True)
         picture = read(tmp_path / f"out{suffix}")
-        np.testing.assert_array_equal(picture.pixels, pixels)
-        assert picture.alpha == (channels == 4)
-
-    @pytest.mark.parametrize("alpha", [False, True])
-    @pytest.mark.parametrize("suffix", [".webp", ".avif"])
-    def test_formats_without_grey_repeat_it(self, tmp_path, suffix, alpha):
-        pixels = noise("u1", 19, 23, 2) if alpha else noise("u1", 19, 23)
-        write(tmp_path / f"out{suffix}", pixels, lossless=True)
-        picture = read(tmp_path / f"out{suffix}")
-        grey = pixels[..., 0] if alpha else pixels
-        np.testing.assert_array_equal(picture.pixels[..., :3], np.repeat(grey[..., None], 3, axis=2))
-        assert picture.alpha == alpha
-        assert not alpha or np.array_equal(picture.pixels[..., 3], pixels[..., 1])
+        assert picture.alpha == (channels in (2, 4))
+        colours = pixels[..., :-1] if picture.alpha else pixels
+        np.testing.assert_array_equal(picture.pixels[..., :3], np.broadcast_to(colours, (19, 23, 3)))
+        assert not picture.alpha or np.array_equal(picture.pixels[..., 3], pixels[..., -1])
 
     @pytest.mark.parametrize("shape", [(1, 1), (1, 9), (9, 1)])
     @pytest.mark.parametrize("suffix", FORMATS)
@@ -80,18 +72,8 @@ class TestRoundTrips:
         pixels = smooth(64, 96)
         write(tmp_path / f"out{suffix}", pixels)
         assert np.abs(read(tmp_path / f"out{suffix}").pixels.astype(int) - pixels).max() <= worst
-
-    def test_jpeg_keeps_its_colours_sharp(self, tmp_path):
-        write(tmp_path / "out.jpg", smooth(32, 32))
-        assert loaded(tmp_path / "out.jpg")[1]["jpeg-chroma-subsample"] == "4:4:4"
-
-    @pytest.mark.parametrize("suffix", [".jpg", ".webp", ".avif"])
-    def test_quality_costs_bytes(self, tmp_path, suffix):
-        pixels = smooth(64, 64) // 2 + noise("u1", 64, 64, 3) // 8
-        for quality in (30, 99):
-            write(tmp_path / f"{quality}{suffix}", pixels, quality=quality)
-        low, high = ((tmp_path / f"{quality}{suffix}").stat().st_size for quality in (30, 99))
-        assert low < high / 2
+        write(tmp_path / f"small{suffix}", pixels, quality=20)
+        assert (tmp_path / f"small{suffix}").stat().st_size < 0.9 * (tmp_path / f"out{suffix}").stat().st_size
 
     @pytest.mark.parametrize("suffix", [".png", ".tif"])
     @pytest.mark.parametrize("shape", [(8, 40_000, 3), (40_000, 8, 3)])
@@ -113,24 +95,10 @@ class TestRoundTrips:
         write(tmp_path / "d.png", pixels)
         np.testing.assert_array_equal(read(tmp_path / "d.png").pixels, pixels)
 
-    @pytest.mark.parametrize("suffix", [".png", ".tif"])
-    def test_smooth_images_become_small_files(self, tmp_path, suffix):
-        for dtype in ("u1", "u2"):
-            pixels = smooth(300, 400, dtype)
-            write(tmp_path / f"{dtype}{suffix}", pixels)
-            assert (tmp_path / f"{dtype}{suffix}").stat().st_size < pixels.nbytes / 10
-
     def test_beyond_4_gigabytes_tiff_changes_its_kind(self):
         for width, big in ((60_000, True), (50_000, False)):
             pixels = np.broadcast_to(np.uint8(0), (70_000, width))  # takes no memory
             assert saver_settings(TIFF, pixels, 8, None, False)["bigtiff"] is big
-
-    def test_many_channels_go_into_tiff(self, tmp_path):
-        pixels = noise("u2", 19, 23, 7)
-        write(tmp_path / "out.tif", pixels)
-        picture = read(tmp_path / "out.tif")
-        np.testing.assert_array_equal(picture.pixels, pixels)
-        assert not picture.alpha
 
 
 class TestDepth:
@@ -143,26 +111,21 @@ class TestDepth:
         worst = np.abs(found - np.rint(ramp / 257)).max()
         assert worst == 0 if suffix == ".webp" else worst <= 2
 
-    def test_avif_keeps_12_bits_and_white(self, tmp_path):
+    @pytest.mark.parametrize("bits", [10, 12])
+    def test_avif_keeps_its_bits_and_white(self, tmp_path, bits):
         ramp = np.arange(65536, dtype=np.uint16).reshape(256, 256)
-        with pytest.warns(DepthWarning, match="AVIF holds 12 bits a channel, and the 16"):
-            write(tmp_path / "out.avif", ramp, lossless=True)
+        if bits == 12:
+            with pytest.warns(DepthWarning, match="AVIF holds 12 bits a channel, and the 16"):
+                write(tmp_path / "out.avif", ramp, lossless=True)
+        else:
+            save(tmp_path / "out.avif", ramp, compression="av1", lossless=True, bitdepth=10)
         picture = read(tmp_path / "out.avif")
-        assert (picture.pixels.dtype, picture.bits) == (np.uint16, 12)
-        assert picture.pixels.min() == 0
-        assert picture.pixels.max() == 65535
-        assert np.abs(picture.pixels[..., 0].astype(int) - ramp).max() <= 65535 / 4095 / 2 + 1
+        assert (picture.pixels.dtype, picture.bits) == (np.uint16, bits)
+        assert (picture.pixels.min(), picture.pixels.max()) == (0, 65535)
+        assert np.abs(picture.pixels[..., 0].astype(int) - ramp).max() <= 65536 / 2**bits
         write(tmp_path / "again.avif", picture.pixels, like=picture, lossless=True)  # and warns no more
-        np.testing.assert_array_equal(read(tmp_path / "again.avif").pixels, picture.pixels)
-
-    def test_ten_bits_stay_ten(self, tmp_path):
-        save(tmp_path / "ten.avif", smooth(32, 32, np.uint16), compression="av1", lossless=True, bitdepth=10)
-        picture = read(tmp_path / "ten.avif")
-        assert picture.bits == 10
-        assert picture.pixels.max() > 65472 - 64 * 32
-        write(tmp_path / "again.avif", picture.pixels, like=picture, lossless=True)
         again = read(tmp_path / "again.avif")
-        assert again.bits == 10
+        assert again.bits == bits
         np.testing.assert_array_equal(again.pixels, picture.pixels)
 
     def test_one_bit_and_palettes_are_spread(self, tmp_path):
@@ -222,7 +185,7 @@ class TestColours:
         assert np.abs(read(tmp_path / "out.png").pixels.astype(int) - pixels).max() <= 1
 
 
-class TestPages:
+class TestPictures:
     def test_a_picture_is_warped_as_what_it_is(self, tmp_path):
         pixels = noise("u1", 32, 40, 4)
         image = pyvips.Image.new_from_array(pixels, interpretation="cmyk").copy()

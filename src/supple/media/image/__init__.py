@@ -15,9 +15,9 @@ import numpy as np
 import pyvips
 
 from supple.errors import GapWarning, LayerWarning, SuppleError, argument, caller, shown
-from supple.media.files import PathLike, check_suffix, replacing
+from supple.media.files import PathLike, check_suffix, replacing, unwritable
 from supple.media.image import dpx, exif, formats
-from supple.media.image.headers import collected, dressed, extra_of, facts, finish, kept, profile_name
+from supple.media.image.headers import NO_EXIF, collected, dressed, extra_of, facts, finish, profile_name
 from supple.media.image.tiff import MASK, Page, Tiff, swapped, tagged
 from supple.media.image.vips import apart, decoded, of_exr, of_tiff, opened, reading, sequential, widen, writing
 
@@ -98,20 +98,20 @@ class Picture:
         name, tiff, pixels = name or "the picture", self._header.get("tiff"), self.pixels
         if self.pages > 1:
             pixels = pixels.reshape(self.pages, -1, *pixels.shape[1:])
-        nodata = tiff.nodata if tiff is not None else None
-        real, nodata = pixels.dtype.kind == "f", nodata if averaged else None
-        gaps = pixels == pixels.dtype.type(nodata) if nodata is not None and _fits(nodata, pixels.dtype) else None
-        if gaps is not None and gaps.any():
+        real, nodata = pixels.dtype.kind == "f", tiff.nodata if averaged and tiff is not None else None
+        with np.errstate(over="ignore"):
+            gaps = pixels == nodata if nodata is not None else None
+        if gaps is not None and (count := np.count_nonzero(gaps)):
             what = "their neighbours too, as far as the filter reaches" if real else "they are mixed with others"
             advice = "" if real else f": {argument('filter', 'nearest')} keeps them apart"
-            text = f"{name}: {np.count_nonzero(gaps)} samples are marked as no data ({nodata:g}), and "
-            warnings.warn(f"{text}{what}{advice}", GapWarning, stacklevel=caller())
-            pixels = np.where(gaps, pixels.dtype.type(np.nan), pixels) if real else pixels
+            text = f"{name}: {count} samples are marked as no data ({nodata:g}), and {what}{advice}"
+            warnings.warn(text, GapWarning, stacklevel=caller())
+            pixels = np.where(gaps, np.nan, pixels).astype(pixels.dtype) if real else pixels
         if real and averaged and (count := pixels.size - np.count_nonzero(np.isfinite(self.pixels))):
             some = "1 sample is NaN or infinite" if count == 1 else f"{count} samples are NaN or infinite"
             text = f"{name}: {some}, and so are those that are computed from them"
             warnings.warn(text, GapWarning, stacklevel=caller())
-        extra = self.extra or ((2,) if self.alpha else ())
+        extra = self.meanings
         channels = list(range(self.pixels.shape[2] if self.pixels.ndim == 3 else 1))
         if len(extra) > 1 and 2 in extra:  # opacity weights colours, but no data
             colours = len(channels) - len(extra)
@@ -122,8 +122,8 @@ class Picture:
             made[..., seen], made[..., rest] = first, second
         else:
             made = warp(pixels, extra == (2,), channels)
-        if real and gaps is not None and gaps.any():
-            np.copyto(made, made.dtype.type(nodata), where=np.isnan(made))
+        if real and nodata is not None and gaps is not None and gaps.any():
+            np.copyto(made, nodata, where=np.isnan(made))
         header = dict(self._header)
         if regridded and tiff is not None and tiff.has_place:
             header["tiff"] = tiff.without_place()
@@ -132,6 +132,11 @@ class Picture:
         if self.pages > 1:
             made = made.reshape(-1, *made.shape[2:])
         return replace(self, pixels=made, _header=header)
+
+    @property
+    def meanings(self) -> tuple[int, ...]:
+        """`extra`, also where `alpha` alone says it."""
+        return self.extra or ((2,) if self.alpha else ())
 
     @property
     def layers(self) -> exr.Exr | None:
@@ -145,28 +150,19 @@ def check_target(path: PathLike) -> None:
     check_suffix(path, suffix, formats.OUT, "is no image format", f"use {', '.join(formats.OUT)}")
 
 
-def check_quality(path: PathLike, quality: int | None) -> None:
-    """Raise SuppleError for an invalid quality; warn if the format is lossless, so that it has no effect."""
-    if quality is None:
-        return
+def check_options(
+    path: PathLike, *, quality: int | None = None, lossless: bool = False, compression: str | None = None
+) -> None:
+    """Raise SuppleError for options of `write` that the format of a name does not have."""
     name, form = shown(path), formats.OUT.get(Path(path).suffix.lower())
-    if not 1 <= quality <= 100:
+    if quality is not None and not 1 <= quality <= 100:
         raise SuppleError(f"cannot write {name} with quality {quality}: quality goes from 1 to 100")
-    if form is not None and not form.quality:
-        text = f"{name}: quality {quality} changes nothing in {form.name}: it is for JPEG, WebP and AVIF"
-        warnings.warn(text, ImageWarning, stacklevel=3)
-
-
-def check_compression(path: PathLike, compression: str | None) -> None:
-    """Raise SuppleError for a compression that the format of a name does not have."""
-    form = formats.OUT.get(Path(path).suffix.lower())
-    if compression is None or form is None:
-        return
-    known = formats.COMPRESSIONS.get(form.name, ())
-    if compression not in known:
+    if lossless and form is formats.JPEG:
+        raise SuppleError(f"cannot write {name} without loss: JPEG always loses: write PNG, TIFF, WebP or AVIF")
+    known = formats.COMPRESSIONS.get(form.name, ()) if form is not None else ()
+    if compression is not None and form is not None and compression not in known:
         names = f"choose from {', '.join(known)}" if known else "leave it out"
-        what = f"{argument('compression')} {compression} is none of {form.name}"
-        raise SuppleError(f"cannot write {shown(path)}: {what}: {names}")
+        raise unwritable(path, f"{argument('compression')} {compression} is none of {form.name}", names)
 
 
 def read(path: PathLike, *, pages: bool = False, whole: bool = False) -> Picture:
@@ -220,24 +216,15 @@ def read(path: PathLike, *, pages: bool = False, whole: bool = False) -> Picture
     return Picture(pixels, extra[-1:] == (2,), icc, bits, form, image.interpretation, held, header, extra)
 
 
-def _fits(value: float, dtype: np.dtype[Any]) -> bool:
-    """Return whether samples may have a value."""
-    if dtype.kind == "f":
-        with np.errstate(over="ignore"):
-            return bool(np.isinf(dtype.type(value)) == np.isinf(value))
-    return value.is_integer() and np.iinfo(dtype).min <= value <= np.iinfo(dtype).max
-
-
 def with_opacity(picture: Picture, target: PathLike) -> Picture:
     """Return a picture with full opacity, if it has none and the format of the target can hold it; else as it is."""
     form, pixels = formats.OUT[Path(target).suffix.lower()], np.atleast_3d(picture.pixels)
     held, count = form.pixel_formats.get(pixels.dtype.str[1:], (2, 4)), pixels.shape[2]
-    plain = count in (1, 3) and count == formats.COLOURS.get(picture.interpretation, 3)
-    if not (form.alpha and plain and count + 1 in held) or picture.extra or picture.layers:
+    is_opaque = count == formats.COLOURS.get(picture.interpretation, 3) and not picture.layers
+    if not (form.alpha and is_opaque and count + 1 in held):
         return picture
-    white = np.iinfo(pixels.dtype).max if pixels.dtype.kind in "iu" else 1
-    made = np.concatenate([pixels, np.full((*pixels.shape[:2], 1), white, pixels.dtype)], axis=2)
-    return replace(picture, pixels=made, alpha=True, extra=(2,))
+    opacity = np.full((*pixels.shape[:2], 1), formats.white_of(pixels.dtype), pixels.dtype)
+    return replace(picture, pixels=np.concatenate([pixels, opacity], axis=2), alpha=True, extra=(2,))
 
 
 def warn_of_exact(held: exr.Exr) -> None:
@@ -360,8 +347,8 @@ def write(
     alpha : bool, optional
         Whether the last channel is opacity. By default as in `like`; otherwise, two or four channels have it.
     quality : int, optional
-        From 1 to 100; by default that of `like`, if it is a JPEG too, or 95; 90 for WebP and AVIF. Not used for PNG
-        and TIFF. From a JPEG to a JPEG, 4:2:0 and progressive coding are kept as well.
+        From 1 to 100; by default that of `like`, if it is a JPEG too, or 95; 90 for WebP and AVIF. Others have none.
+        From a JPEG to a JPEG, 4:2:0 and progressive coding are kept as well.
     lossless : bool
         Whether to write without loss; PNG and TIFF always do, JPEG cannot. WebP does if `like` is one without loss.
     compression : str, optional
@@ -377,39 +364,41 @@ def write(
 
     Warns
     -----
+    ImageWarning
+        The quality or the compression has no effect.
     DepthWarning
         16 bits are rounded to the 8 of JPEG and WebP or the 12 of AVIF.
     MetadataWarning
         IPTC outside a JPEG, EXIF that is damaged or too large, or a grey profile in a format without grey.
     """
     check_target(path)
-    check_compression(path, compression)
+    check_options(path, quality=quality, lossless=lossless, compression=compression)
     if isinstance(pixels, Picture):
-        like = like or pixels
-        pixels = pixels.pixels
+        like, pixels = like or pixels, pixels.pixels
     name, form = shown(path), formats.OUT[Path(path).suffix.lower()]
     array = np.ascontiguousarray(pixels, np.asarray(pixels).dtype.newbyteorder("="))
-    channels = array.shape[2] if array.ndim == 3 else 1
-    same = like is not None and like.pixels.shape[2:] == array.shape[2:]
+    channels, depth = array.shape[2] if array.ndim == 3 else 1, array.dtype.itemsize * 8
+    like = like or Picture(array[:0], channels in (2, 4), bits=depth)
+    same = like.pixels.shape[2:] == array.shape[2:]
     extra: tuple[int, ...] = (2,) if (channels in (2, 4) if alpha is None else alpha) else ()
-    if alpha is None and like is not None and same:
-        extra = like.extra or ((2,) if like.alpha else ())
+    if alpha is None and same:
+        extra = like.meanings
         if extra == (1,) and form not in (formats.TIFF, formats.EXR):
             array, extra = formats.divided(array), (2,)
-    header, icc = (dict(like._header), like.icc) if like is not None else ({}, None)
+    header, icc, alpha = dict(like._header), like.icc, 2 in extra
     layers: exr.Exr | None = header.pop("exr", None)
     head: bytes = header.pop("dpx", b"")
     known_as, saved = header.pop("saved", ("", {}))
-    alpha, tiff, lost = 2 in extra, header.get("tiff", Tiff()), []
-    if like is not None and len(like.pixels) and like.pixels.shape[:2] != array.shape[:2] and tiff.has_place:
-        tiff = tiff.without_place()
-        lost.append("the georeference of another grid")
-    known = like.interpretation if like is not None and same else ""
+    tiff: Tiff = header.pop("tiff", Tiff())
+    moved = tiff.has_place and len(like.pixels) > 0 and like.pixels.shape[:2] != array.shape[:2]
+    tiff = tiff.without_place() if moved else tiff
+    known = like.interpretation if same else ""
     meaning = formats.meant(array.dtype, channels - (len(extra) if form is formats.TIFF else alpha), known)
+    lost = ["the georeference of another grid"] * moved
     if form is formats.TIFF:
         if not extra and meaning == "multiband" and not tiff.is_inks:
             extra = (0,) * (channels - (3 if channels > 3 else 1))
-        alike = like is not None and same and like.pixels.dtype == array.dtype
+        alike = same and like.pixels.dtype == array.dtype
         tiff = replace(tiff if alike else Tiff(tags=tiff.tags), extra=extra)
         meaning = formats.meant(array.dtype, channels - len(extra), known if tiff.is_saved else "")
         array = swapped(tiff, array)
@@ -417,17 +406,16 @@ def write(
     else:
         lost += ["the georeference"] * tiff.has_place + ["the mark of samples without data"] * (tiff.nodata is not None)
     formats.check(path, form, array, meaning, extra)
-    if lossless and form is formats.JPEG:
-        raise SuppleError(f"cannot write {name} without loss: JPEG loses some: write PNG, TIFF, WebP or AVIF")
-    if quality is not None and not 1 <= quality <= 100:
-        raise SuppleError(f"cannot write {name} with quality {quality}: quality goes from 1 to 100")
-    have = like.bits if like is not None and like.pixels.dtype == array.dtype else array.dtype.itemsize * 8
-    bits = 10 if form is formats.AVIF and 8 < have <= 10 else min(form.bits, array.dtype.itemsize * 8)
+    have = like.bits if like.pixels.dtype == array.dtype else depth
+    bits = 10 if form is formats.AVIF and 8 < have <= 10 else min(form.bits, depth)
     film = form is formats.DPX and have in (10, 12) and channels == 3
     bits = have if film else bits
     if bits < have:
         text = f"{name}: {form.name} holds {bits} bits a channel, and the {have} of the pixels are rounded"
         warnings.warn(text, DepthWarning, stacklevel=2)
+    if quality is not None and not form.quality:
+        text = f"{name}: quality {quality} changes nothing in {form.name}: it is for JPEG, WebP and AVIF"
+        warnings.warn(text, ImageWarning, stacklevel=2)
     image, sized = formats.wrapped(array, meaning, bits), False
     if layers is not None and (unkept := layers.lost(exr=form is formats.EXR)):
         lost.append(f"{' and '.join(unkept)} of an OpenEXR")
@@ -453,24 +441,26 @@ def write(
     if form.pixel_formats:
         from supple.media.image import ffmpeg
 
-        if bits < array.dtype.itemsize * 8:
+        if bits < depth:
             array = decoded(image, 1)
+        kind = form.pixel_formats[array.dtype.str[1:]][channels]
+        if film:
+            array, kind = array >> (16 - bits), f"gbrp{bits}be"
+        if dpx.is_little(head):
+            kind = re.sub("be$", "le", kind)
         with replacing(path, force=force) as temporary, ffmpeg.writing(path):
-            kind = form.pixel_formats[array.dtype.str[1:]][channels]
-            if film:
-                array, kind = array >> (16 - bits), f"gbrp{bits}be"
-            if dpx.is_little(head):
-                kind = re.sub("be$", "le", kind)
             data = ffmpeg.encoded(array, form.saver, kind, form.options)
             temporary.write_bytes(dpx.dressed(data, head, path) if form is formats.DPX else data)
         return
-    options = formats.settings(form, array, bits, quality, lossless) | kept(image, form, sized)
+    options = formats.settings(form, array, bits, quality, lossless)
+    if not image.get_typeof("exif-data") and not (sized and form in (formats.WEBP, formats.AVIF)):
+        options["keep"] = NO_EXIF  # which libvips would add; these two have no other place for a resolution
     if known_as == form.name:
         saved = saved if quality is None else {key: value for key, value in saved.items() if key == "interlace"}
         options |= saved
     if form is formats.TIFF:
         options |= tiff.settings(lossless, array.dtype.itemsize)
-        if like is not None and like.pages > 1:
+        if like.pages > 1:
             options["page_height"] = len(array) // like.pages
     if compression is not None and form.lossless and not options.get("lossless"):
         text = f"{name}: compression {compression} changes nothing in {form.name} with loss: it is for lossless files"
@@ -479,8 +469,6 @@ def write(
     with replacing(path, force=force) as temporary, writing(path):
         apart(lambda: getattr(image, form.saver)(os.fsencode(temporary), **options), image)
         if form is formats.TIFF:
-            block = header.get("exif-data", b"")
-            added = exif.for_tiff(block, array.shape[1], array.shape[0]) if block else {}
-            tagged(temporary, tiff, added, sized)
+            tagged(temporary, tiff, exif.for_tiff(header.get("exif-data", b""), *array.shape[1::-1]), sized)
         else:
             finish(temporary, image, form, sized)

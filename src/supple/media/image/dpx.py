@@ -24,13 +24,6 @@ def header_of(path: PathLike) -> bytes:
     return head
 
 
-def described(head: bytes) -> str:
-    """Return how the samples are stored, in words."""
-    packing, encoding = struct.unpack_from(f"{_order(head)}HH", head, 804)
-    stored = ", run-length encoded" if encoding else ""
-    return f"a DPX of {head[803]} bits, packing {packing}{stored}"
-
-
 def is_little(head: bytes) -> bool:
     """Return whether a file with this header is in little-endian order."""
     return head[:4] == b"XPDS"

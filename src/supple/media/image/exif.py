@@ -29,8 +29,7 @@ _ROOM = 2**24  # bytes in all
 _PREFIX = b"Exif\0\0"
 SHAPED = b'{"shape": '  # tifffile's description of an array, which may become one of another shape
 # for each type of value its bytes, and those that the byte order swaps
-_SIZES = {1: 1, 2: 1, 3: 2, 4: 4, 5: 8, 6: 1, 7: 1, 8: 2, 9: 4, 10: 8, 11: 4, 12: 8, 13: 4, 129: 1}
-_SIZES |= {16: 8, 17: 8, 18: 8}
+_SIZES = {1: 1, 2: 1, 3: 2, 4: 4, 5: 8, 6: 1, 7: 1, 8: 2, 9: 4, 10: 8, 11: 4, 12: 8, 129: 1}
 _TURNED = {**_SIZES, 5: 4, 10: 4}
 _LONG8 = 16
 Order: TypeAlias = Literal["little", "big"]
@@ -38,11 +37,10 @@ Order: TypeAlias = Literal["little", "big"]
 
 @dataclass(frozen=True, slots=True)
 class Value:
-    """A value to be laid out: its type, its bytes and their order."""
+    """A value to be laid out: its type, and its bytes in little-endian order."""
 
     kind: int
     data: bytes
-    order: Order = "little"
 
 
 # an entry as stored in a file, a value to be laid out, or a folder below
@@ -61,6 +59,10 @@ class _Form:
 
     def bytes(self, number: int, size: int) -> bytes:
         return number.to_bytes(size, self.order)
+
+    def swapped(self, kind: int, data: bytes) -> bytes:
+        """Return values of a type in little-endian order, or from it in that of the file."""
+        return data if self.order == "little" else np.frombuffer(data, f"u{_TURNED[kind]}").byteswap().tobytes()
 
 
 class Reader:
@@ -112,7 +114,7 @@ class Reader:
                     found[tag] = value
             elif tag not in _BELOW[parent]:
                 self.whole = False
-            elif below := self.folder(self.pointer(entry), tag):
+            elif below := self.folder(self.integer(entry) or self.size, tag):
                 found[tag] = below
         return found
 
@@ -129,19 +131,12 @@ class Reader:
             self.whole = False
             return None
         self.room -= size
-        if kind in (16, 17, 18):  # other formats have no 64-bit integers
-            wide = np.frombuffer(data, _dtype(form, "i" if kind == 17 else "u", 8))
-            narrow = wide.astype(_dtype(form, wide.dtype.kind, 4))
-            if not np.array_equal(wide, narrow):
-                self.whole = False
-                return None
-            data, kind = narrow.tobytes(), 9 if kind == 17 else 4
-        return Value({13: 4, 129: 2}.get(kind, kind), data, form.order)
+        return Value(2 if kind == 129 else kind, form.swapped(kind, data))
 
-    def pointer(self, entry: bytes) -> int:
-        """Return the offset of a folder below; the end of the file if it is damaged."""
-        value = self.value(entry)
-        return self.form.number(value.data) if value and value.kind == 4 and len(value.data) == 4 else self.size
+    def integer(self, entry: bytes) -> int:
+        """Return the integer that an entry holds itself; 0 for other types."""
+        size = {1: 1, 3: 2, 4: 4, 13: 4, 16: 8, 18: 8}.get(self.form.number(entry[2:4]), 0)
+        return self.form.number(entry[-self.form.word :][:size])
 
 
 def from_tiff(path: PathLike) -> tuple[bytes | None, bool]:
@@ -161,21 +156,17 @@ def fitted(block: bytes, most: int) -> bytes:
     """Return an EXIF block without its largest values, such that it fits ``most`` bytes."""
     found, form, _ = _parsed(block)
     folders = [found, *(item for item in found.values() if isinstance(item, dict))]
-    sizes = [
-        (len(item.data), at, tag)
-        for at, folder in enumerate(folders)
-        for tag, item in folder.items()
-        if isinstance(item, Value)
-    ]
-    for _, at, tag in sorted(sizes, reverse=True):
-        if len(block := _block(found, form)) <= most:
-            break
-        del folders[at][tag]
+    while len(block) > most:
+        values = [(len(item.data), k, tag) for k, folder in enumerate(folders) for tag, item in folder.items()
+                  if isinstance(item, Value)]  # fmt: skip
+        _, k, tag = max(values)
+        del folders[k][tag]
+        block = _block(found, form)
     return block
 
 
 def for_tiff(block: bytes, width: int, height: int) -> Folder:
-    """Return the tags of an EXIF block, with the size of its image."""
+    """Return the tags of an EXIF block, with the size of its image; none of an empty one."""
     found = _parsed(block)[0]
     inner = found.get(_EXIF)
     if isinstance(inner, dict):
@@ -232,8 +223,8 @@ def _laid(folder: Folder, place: int, form: _Form, following: bytes = b"") -> by
             table += item
             continue
         if isinstance(item, Value):
-            kind, count, unit = item.kind, len(item.data) // _SIZES[item.kind], _TURNED[item.kind]
-            data = np.frombuffer(item.data, _dtype(item, "u", unit)).astype(_dtype(form, "u", unit)).tobytes()
+            kind, count = item.kind, len(item.data) // _SIZES[item.kind]
+            data = form.swapped(kind, item.data)
         else:
             kind, count = (_LONG8 if form.big else 4), 1
             data = _laid(item, behind + len(rest), form)
@@ -245,7 +236,3 @@ def _laid(folder: Folder, place: int, form: _Form, following: bytes = b"") -> by
         table += form.bytes(tag, 2) + form.bytes(kind, 2) + form.bytes(count, form.word) + inline
     table += following or bytes(form.word)
     return bytes(table + bytes(behind - place - len(table)) + rest)
-
-
-def _dtype(form: _Form | Value, kind: str, size: int) -> np.dtype[np.integer]:
-    return np.dtype(f"{'<' if form.order == 'little' else '>'}{kind}{size}")

@@ -21,9 +21,7 @@ import numpy as np
 
 from supple.errors import listing, need
 from supple.media.files import PathLike, head_of, unreadable, unwritable
-from supple.media.image.formats import EXR_MAGIC, Array
-
-Box = tuple[int, int, int, int]  # x and y of the first pixel, and of that after the last
+from supple.media.image.formats import EXR_MAGIC, Array, Box, bounds, damaged
 
 _COLOURS = {"r": "r", "red": "r", "g": "g", "green": "g", "b": "b", "blue": "b", "a": "a", "alpha": "a", "y": "y"}
 _MAIN = ("", "rgba", "rgb", "combined", "beauty")  # the layers that hold the picture itself, best first
@@ -110,13 +108,19 @@ class Exr:
 
     def lost(self, *, exr: bool) -> list[str]:
         """Return what a file does not take over of it, in words: an OpenEXR, or one of another format."""
-        names = [channel.name for _, channels in self.groups[1:] for channel in channels]
-        own = sorted({name for each in self.attributes for name in each} - _OWN)
-        parts = [("channel", self.left)] if exr else [("channel", self.left or names), ("attribute", own)]
-        told = [f"the {what}{'s' * (len(some) > 1)} {listing(some, 6)}" for what, some in parts if some]
-        levels = any(each["tiles"].mode.value for each in self.attributes if "tiles" in each)
-        told += ["the smaller levels"] * levels
+        parts: dict[str, Sequence[str]] = {"channel": self.left}
+        if not exr:
+            parts["channel"] = self.left or self._others
+            parts["attribute"] = sorted({name for each in self.attributes for name in each} - _OWN)
+        told = [f"the {what}{'s' * (len(some) > 1)} {listing(some, 6)}" for what, some in parts.items() if some]
+        if any(each["tiles"].mode.value for each in self.attributes if "tiles" in each):
+            told.append("the smaller levels")
         return told + ["the data window"] * (not exr and self.windows != (self.display,))
+
+    @property
+    def _others(self) -> tuple[str, ...]:
+        """The names of channels that are not the picture's own."""
+        return tuple(channel.name for _, channels in self.groups[1:] for channel in channels)
 
     @property
     def exact(self) -> str:
@@ -125,9 +129,8 @@ class Exr:
 
     def alone(self) -> Exr:
         """Return the picture's own channels in the display window."""
-        left = tuple(channel.name for _, channels in self.groups[1:] for channel in channels)
         pixels = _over(self.arrays[0], self.box, self.display)
-        return replace(self, box=self.display, groups=self.groups[:1], arrays=(pixels,), left=left)
+        return replace(self, box=self.display, groups=self.groups[:1], arrays=(pixels,), left=self._others)
 
     def sized(self, shape: tuple[int, int]) -> Exr:
         """Return it with windows of another size, which all begin at (0, 0)."""
@@ -145,15 +148,22 @@ def around(boxes: Sequence[Box]) -> Box:
     return min(x0), min(y0), max(x1), max(y1)
 
 
+def _common(one: Box, other: Box) -> Box | None:
+    """Return the part that two boxes share; None if there is none."""
+    x0, y0, x1, y1 = (f(a, b) for f, a, b in zip((max, max, min, min), one, other, strict=True))
+    return (x0, y0, x1, y1) if x0 < x1 and y0 < y1 else None
+
+
 def _over(array: Array, box: Box, target: Box) -> Array:
     """Return an array that covers ``box`` over another box, with zeros where there was nothing."""
     if box == target:
         return array
     made = np.zeros((*_shape(target), *array.shape[2:]), array.dtype)
-    x0, y0, x1, y1 = (f(a, b) for f, a, b in zip((max, max, min, min), box, target, strict=True))
-    if x0 < x1 and y0 < y1:
-        part = array[y0 - box[1] : y1 - box[1], x0 - box[0] : x1 - box[0]]
-        made[y0 - target[1] : y1 - target[1], x0 - target[0] : x1 - target[0]] = part
+    if common := _common(box, target):
+        to, source = (
+            np.s_[common[1] - y : common[3] - y, common[0] - x : common[2] - x] for x, y, _, _ in (target, box)
+        )
+        made[to] = array[source]
     return made
 
 
@@ -168,45 +178,36 @@ def imported() -> Any:
 @contextlib.contextmanager
 def opened(path: PathLike, *, header_only: bool = False) -> Iterator[Any]:
     """Open an OpenEXR that is not deep: its parts, with separate channels; errors are one sentence."""
-    module = imported()
     if not head_of(path, 4).startswith(EXR_MAGIC):
         raise unreadable(path, "it does not begin as an EXR does", "give the name of an EXR")
-    with _file(module, path, True) as file:
+    with _file(path, header_only) as file:
         for part in file.parts:
-            if part.header["type"] in (module.deepscanline, module.deeptile):
+            if part.header["type"] in (imported().deepscanline, imported().deeptile):
                 raise unreadable(path, "it is a deep EXR, several samples for a pixel", "flatten it first")
             for each in part.header["channels"]:
                 if (each.xSampling, each.ySampling) != (1, 1):
                     what = f"its channel {each.name} has a sample for every {each.xSampling} x {each.ySampling} pixels"
                     raise unreadable(path, what, "write it with all channels at full resolution, as RGB")
-        if header_only:
-            yield file
-    if not header_only:
-        with _file(module, path, False) as file:
-            yield file
+        yield file
 
 
-def _file(module: Any, path: PathLike, header_only: bool) -> Any:
+def _file(path: PathLike, header_only: bool) -> Any:
     """Open an OpenEXR, without what the package writes of a damaged one."""
     from supple.media.volume.itk import silence
 
-    said = io.StringIO()
+    module, said = imported(), io.StringIO()
     try:
         # to both streams; what other threads write is passed on
         with silence(r".*\(EXR_ERR"), contextlib.redirect_stdout(said):
             file = module.File(os.fspath(path), separate_channels=True, header_only=header_only)
     except (RuntimeError, ValueError, TypeError, MemoryError) as error:
-        raise _damaged(path, str(error).splitlines()[0]) from error
+        raise damaged(path, str(error).splitlines()[0]) from error
     finally:
         if rest := re.sub(r"(?m)^Warning: .*\n", "", said.getvalue()):
             sys.stdout.write(rest)
     if not file.parts:
-        raise _damaged(path, said.getvalue().strip().rpartition(" - ")[2] or "it has no parts")
+        raise damaged(path, said.getvalue().strip().rpartition(" - ")[2] or "it has no parts")
     return file
-
-
-def _damaged(path: PathLike, why: str) -> Exception:
-    return unreadable(path, f"it is damaged, cut short or of a kind that is not supported ({why})")
 
 
 def _box(window: Any) -> Box:
@@ -243,15 +244,12 @@ def read(path: PathLike, box: Box | None = None) -> Exr:
     groups = _grouped(path, list(planes), headers)
     arrays = []
     for _, channels in groups:
-        each = [_over(part, made.windows[c.part], box) for c in channels for part in _split(planes[c])]
-        arrays.append(np.ascontiguousarray(np.stack(each, axis=-1)))
+        each: list[Array] = []
+        for c in channels:  # float32 holds any 16 bits of an integer
+            parts = [planes[c] >> 16, planes[c] & 0xFFFF] if c.planes == 2 else [planes[c]]
+            each += [_over(part.astype(np.float32), made.windows[c.part], box) for part in parts]
+        arrays.append(np.stack(each, axis=-1))
     return replace(made, box=box, groups=groups, arrays=tuple(arrays))
-
-
-def _split(plane: Array) -> list[Array]:
-    """Return a channel as planes of float32, which hold any 16 bits of an integer."""
-    whole = plane.dtype.kind == "u"
-    return [(part).astype(np.float32) for part in ([plane >> 16, plane & 0xFFFF] if whole else [plane])]
 
 
 def _layer(channel: Channel) -> tuple[str, str]:
@@ -270,38 +268,37 @@ def _grouped(
         for key, value in header.items()
         if key.startswith("cryptomatte/") and key.endswith("/name") and isinstance(value, str)
     )
-    layers: dict[tuple[int, str], dict[str, Channel]] = {}  # of floats, the channels by their colour or their name
-    exact = []
-    for channel in channels:
+    vectors = {(c.part, _layer(c)[0]) for c in channels if _layer(c)[1].lower() in ("x", "z")}
+
+    def is_exact(channel: Channel) -> bool:
         layer, name = _layer(channel)
-        own = name if not layer else layer.rpartition(".")[2]
-        data = channel.dtype.kind == "u" or bool(_DATA.search(own)) or bool(mattes and layer.startswith(mattes))
-        if data or name.lower() not in _COLOURS:
-            exact.append(channel)
-        else:
-            layers.setdefault((channel.part, layer), {})[_COLOURS[name.lower()]] = channel
-    for key, held in layers.items():  # the y of a vector is no luminance
-        if "y" in held and any(
-            (c.part, _layer(c)[0]) == key and _layer(c)[1].lower() in ("x", "z") and key[1] for c in exact
-        ):
-            exact.append(held.pop("y"))
+        if channel.dtype.kind == "u" or (mattes and layer.startswith(mattes)) or name.lower() not in _COLOURS:
+            return True
+        if layer and name.lower() == "y" and (channel.part, layer) in vectors:  # no luminance
+            return True
+        return _DATA.search(layer.rpartition(".")[2] or name) is not None
 
-    def rank(key: tuple[int, str]) -> tuple[bool, int]:
+    def rank(key: tuple[int, str]) -> int:
         name = key[1].rpartition(".")[2].lower()
-        return not layers[key], _MAIN.index(name) if name in _MAIN else len(_MAIN)
+        return _MAIN.index(name) if name in _MAIN else len(_MAIN)
 
+    exact = [channel for channel in channels if is_exact(channel)]
+    layers: dict[tuple[int, str], dict[str, Channel]] = {}  # the channels of each by their colour
+    for channel in channels:
+        if channel not in exact:
+            layer, name = _layer(channel)
+            layers.setdefault((channel.part, layer), {})[_COLOURS[name.lower()]] = channel
     best = layers[min(layers, key=rank)] if layers else {}
-    main = [best[c] for c in "rgba" if c in best] if {"r", "g", "b"} <= set(best) else [*best.values()][:1]
-    if "y" in best and len(main) == 1:
-        main = [best["y"]]
-    blurred = bool(main)
-    if not main:
-        main = [channel for channel in exact if channel.dtype.kind == "f"][:1]
+    if {"r", "g", "b"} <= set(best):
+        main = [best[c] for c in "rgba" if c in best]
+    else:
+        main = [best["y"]] if "y" in best else [*best.values()][:1]
+    main = main or [channel for channel in exact if channel.dtype.kind == "f"][:1]
     if not main:
         raise unreadable(path, "none of its channels holds floats", "give a picture")
     rest = [channel for channel in channels if channel not in main]
     parts = (
-        (not blurred, main),
+        (main[0] in exact, main),
         (False, [channel for channel in rest if channel not in exact]),
         (True, [channel for channel in rest if channel in exact]),
     )
@@ -328,21 +325,24 @@ def write(path: PathLike, name: PathLike, exr: Exr) -> None:
     ``name`` is the name for messages.
     """
     module = imported()
-    planes: dict[Channel, Array] = {}
+    planes: list[dict[str, Array]] = [{} for _ in exr.windows]
     for (_, channels), array in zip(exr.groups, exr.arrays, strict=True):
-        k = 0
+        each = iter(np.moveaxis(array, -1, 0))
         for channel in channels:
-            high, low = array[..., k], array[..., k + channel.planes - 1]
-            whole = channel.dtype.kind == "u"
+            plane = next(each)
             with np.errstate(over="ignore"):
-                planes[channel] = high.astype("u4") << 16 | low.astype("u4") if whole else high.astype(channel.dtype)
-            k += channel.planes
+                plane = plane.astype(channel.dtype)
+            if channel.planes == 2:
+                plane = plane << 16 | next(each).astype(channel.dtype)
+            planes[channel.part][channel.name] = plane
     parts = []
-    for k, (attributes, window) in enumerate(zip(exr.attributes, exr.windows, strict=True)):
-        own = {channel.name: plane for channel, plane in planes.items() if channel.part == k}
+    for attributes, window, own in zip(exr.attributes, exr.windows, planes, strict=True):
         if not own:
             continue
-        box = around([_common(window, exr.box), *_filled(own.values(), exr.box)])
+        box = _common(window, exr.box) or exr.box
+        if filled := bounds(np.any([plane != 0 for plane in own.values()], axis=0)):
+            x, y = exr.box[:2]
+            box = around([box, (filled[0] + x, filled[1] + y, filled[2] + x, filled[3] + y)])
         header = {key: value for key, value in attributes.items() if key not in ("channels", "chunkCount")}
         header |= {"dataWindow": _window(box), "displayWindow": _window(exr.display)}
         if "tiles" in header:
@@ -355,22 +355,6 @@ def write(path: PathLike, name: PathLike, exr: Exr) -> None:
     except (RuntimeError, ValueError, TypeError) as error:
         why = str(error).splitlines()[0].replace(os.fspath(path), os.fspath(name))
         raise unwritable(name, f"OpenEXR fails ({why})", "choose another place") from error
-
-
-def _common(window: Box, box: Box) -> Box:
-    """Return the part of a window within a box; all of the box if there is none."""
-    x0, y0, x1, y1 = (f(a, b) for f, a, b in zip((max, max, min, min), window, box, strict=True))
-    return (x0, y0, x1, y1) if x0 < x1 and y0 < y1 else box
-
-
-def _filled(planes: Any, box: Box) -> list[Box]:
-    """Return the box of all that is not 0; none if there is nothing."""
-    any_: Array = np.any([plane != 0 for plane in planes], axis=0)
-    rows, columns = (np.flatnonzero(any_.any(axis=axis)) for axis in (1, 0))
-    if not rows.size:
-        return []
-    x, y = box[:2]
-    return [(x + int(columns[0]), y + int(rows[0]), x + int(columns[-1]) + 1, y + int(rows[-1]) + 1)]
 
 
 def _window(box: Box) -> tuple[Array, Array]:

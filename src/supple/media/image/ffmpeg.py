@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import re
 from collections.abc import Mapping
 from contextlib import AbstractContextManager
 from fractions import Fraction
@@ -16,20 +14,11 @@ need("video", "DPX, SGI, Radiance, JPEG 2000, BMP, TGA and PNM pictures", "av")
 import av
 import numpy as np
 
-from supple.media.files import PathLike, refusing, unreadable, unwritable
-from supple.media.image.formats import FORMATS, Array
+from supple.media.files import PathLike, refusing, unwritable
+from supple.media.image.formats import Array, damaged
 from supple.media.video.colour import FULL, Colour, to_rgb
 from supple.media.video.demux import said
 from supple.media.video.planes import form, pack, palette, unpack, wider
-
-
-def codec_of(path: PathLike, head: bytes) -> tuple[str, str] | None:
-    """Return the codec and the format of an image by its first bytes; for TGA, which has no signature, by the name."""
-    for known in FORMATS:
-        for pattern, codec in known.magic.items():
-            if re.match(pattern, head):
-                return codec, known.name
-    return ("targa", "TGA") if os.fspath(path).lower().endswith(".tga") else None
 
 
 def decoded(path: PathLike, codec: str) -> tuple[Array, int]:
@@ -84,15 +73,9 @@ def encoded(pixels: Array, codec: str, pixel_format: str, options: Mapping[str, 
     return b"".join(bytes(packet) for packet in (*context.encode(frame), *context.encode(None)))
 
 
-def reading(path: PathLike, kind: str = "") -> AbstractContextManager[None]:
-    """Convert a codec's errors to one sentence, with the kind of the file, if it is known."""
-    what, advice = (
-        "it is damaged, cut short or of a kind that is not supported",
-        "give a whole copy of it, or convert it",
-    )
-    return refusing(
-        lambda error: unreadable(path, f"{what} ({kind or said(error)})", f"{advice} to PNG or TIFF"), av.FFmpegError
-    )
+def reading(path: PathLike) -> AbstractContextManager[None]:
+    """Convert a codec's errors to one sentence."""
+    return refusing(lambda error: damaged(path, said(error)), av.FFmpegError)
 
 
 def writing(path: PathLike) -> AbstractContextManager[None]:

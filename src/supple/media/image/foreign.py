@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,7 @@ import pyvips
 from supple.errors import need
 from supple.media.files import PathLike, refusing, unreadable
 from supple.media.image import exif
-from supple.media.image.formats import RAW, Array, meant, wrapped
+from supple.media.image.formats import RAW, Array, of_pixels
 
 _GIVE = "give a whole copy of it, or convert it, to TIFF for instance"
 _PSD = {"GRAYSCALE": "", "RGB": "", "CMYK": "cmyk", "DUOTONE": ""}
@@ -22,19 +23,21 @@ def kind_of(path: PathLike, head: bytes) -> str:
     """Return the format of a file by its first bytes; of camera raw, by its name, as most look like TIFF."""
     if head.startswith(b"8BPS"):
         return "PSD"
+    if re.match(rb"(?s)....ftyp(....)*?(hei[cxms]|hev[cxms])", head[: int.from_bytes(head[:4])]):
+        return "HEIF"  # of HEVC, which libvips opens, but does not decode
     return "camera raw" if os.path.splitext(os.fspath(path))[1].lower() in RAW.suffixes else ""
 
 
 def opened(path: PathLike, kind: str) -> Any:
     """Return an image of libvips, upright, with its profile, EXIF and XMP; SuppleError without the library for it."""
-    module = {"PSD": "psd_tools", "camera raw": "rawpy"}.get(kind, "pillow_heif")
+    module, decode = {
+        "PSD": ("psd_tools", _psd), "camera raw": ("rawpy", _raw), "HEIF": ("pillow_heif", _heif)
+    }[kind]  # fmt: skip
     need("formats", f"{kind} pictures", module)
     # of any kind: these libraries raise many
     with refusing(lambda error: unreadable(path, f"{module} fails on it ({_line(error)})", _GIVE), Exception):
-        pixels, bits, meaning, alpha, known = {"PSD": _psd, "camera raw": _raw}.get(kind, _heif)(path)
-    channels = pixels.shape[2] if pixels.ndim == 3 else 1
-    image = wrapped(np.ascontiguousarray(pixels), meant(pixels.dtype, channels - alpha, meaning), 32)
-    image.set_type(pyvips.GValue.gint_type, "bits-per-sample", bits)
+        pixels, bits, meaning, alpha, known = decode(path)
+    image = of_pixels(pixels, bits, alpha, meaning)
     for name, value in known.items():
         if value:
             image.set_type(pyvips.GValue.blob_type, name, value)

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import os
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, NoReturn
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import pyvips
 
 from supple.errors import SuppleError, shown
-from supple.media.files import PathLike, first_bytes, unwritable
+from supple.media.files import PathLike, first_bytes, unreadable, unwritable
 
 Array = npt.NDArray[Any]
+Box = tuple[int, int, int, int]  # x and y of the first pixel, and of that after the last
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,7 +57,7 @@ TIFF = Format("TIFF", (".tif", ".tiff"), ("tiff",), saver="tiffsave", limit=10**
               options={"compression": "deflate"})
 WEBP = Format("WebP", (".webp",), ("webp",), saver="webpsave", limit=16_383, grey=False,
               quality=90, lossless=("lossless", "exact"), options={"smart_subsample": True})
-AVIF = Format("AVIF", (".avif",), saver="heifsave", limit=16_384, bits=12, grey=False,
+AVIF = Format("AVIF", (".avif",), ("heif",), saver="heifsave", limit=16_384, bits=12, grey=False,
               quality=90, lossless=("lossless",),  # effort 4 takes six times as long for 7 %
               options={"compression": "av1", "subsample_mode": "off", "effort": 3})
 EXR_MAGIC = b"v/1\x01"
@@ -76,7 +79,7 @@ FORMATS = (
            alpha=False, options={"format": "jp2", "pred": "dwt53"}, pixel_formats=_WHOLE),  # lossless
     Format("PNM", (".pam", ".pbm", ".pnm"), ("ppm",), _PNM),
     Format("GIF", (".gif",), ("gif",)),
-    Format("HEIF", (".heic", ".heif"), ("heif",)),
+    Format("HEIF", (".heic", ".heif")),
     Format("JPEG XL", (".jxl",), ("jxl",)),
     Format("PSD", (".psd", ".psb")),
     RAW,
@@ -112,38 +115,28 @@ def meant(dtype: np.dtype[Any], colours: int, like: str) -> str:
 
 def check(path: PathLike, form: Format, array: Array, meaning: str, extra: tuple[int, ...]) -> None:
     """Raise SuppleError for an array that the format cannot hold, with the meanings of channels above its colours."""
-
-    def refuse(what: str, advice: str) -> NoReturn:
-        raise unwritable(path, what, advice)
-
     if array.ndim not in (2, 3) or 0 in array.shape:
         raise SuppleError(f"cannot write {shown(path)}: an image has shape (H, W) or (H, W, C), and not {array.shape}")
-    codec, name = bool(form.pixel_formats), form.name
     known, channels = array.dtype in _VIPS, array.shape[2] if array.ndim == 3 else 1
-    types = set(form.pixel_formats) if codec else {"u1"}
+    held: Mapping[int, str] = next(iter(form.pixel_formats.values()), {})
+    types = {*form.pixel_formats} or {"u1"}
     types |= {"u2"} if "u1" in types else set()
-    if not known or (form is not TIFF and array.dtype.str[1:] not in types):
-        advice = "write TIFF or OpenEXR" if codec and "f4" not in types and array.dtype.kind == "f" else "write a TIFF"
-        advice = advice if known else "convert to uint8, uint16 or, for TIFF, float32"
-        refuse(f"{name} takes no {array.dtype} values", advice)
-    if meaning == "cmyk" and not form.cmyk:
-        refuse(f"{name} holds no CMYK colours", "write TIFF or JPEG")
-    if meaning == "lab" and form is not TIFF:
-        refuse(f"{name} holds no Lab colours", "write a TIFF")
-    if 0 in extra and form is not TIFF:
-        refuse(f"{name} holds no channels of data beside the colours", "write a TIFF")
-    if 2 in extra and not form.alpha:
-        refuse(f"{name} holds no transparency", "write PNG or TIFF" if codec else "write PNG, TIFF, WebP or AVIF")
-    if codec:
-        held = next(iter(form.pixel_formats.values()))
-        if channels not in held or (extra and channels == 2) or (channels == 4 and not extra and form is not EXR):
-            refuse(f"{name} holds {' or '.join(map(str, held))} channels, and not {channels}", "write a TIFF")
-    elif meaning == "multiband" and form is not TIFF:
-        refuse(f"{name} does not hold {channels} channels", "write a TIFF")
-    if max(array.shape[:2]) > form.limit:
-        advice = "write a TIFF" if codec else "write PNG or TIFF" if form.limit < PNG.limit else "cut it into parts"
-        size = f"{array.shape[1]} x {array.shape[0]}"
-        refuse(f"{name} ends at {form.limit} pixels on a side, and the image has {size}", advice)
+    many = channels not in held or (channels == 4 and not extra and form is not EXR) if held else meaning == "multiband"
+    other = "write a TIFF" if form.limit < PNG.limit else "cut it into parts"
+    size = f"{array.shape[1]} x {array.shape[0]}"
+    refusals = (
+        (not known, f"takes no {array.dtype} values", "convert to uint8, uint16 or, for TIFF, float32"),
+        (form is not TIFF and array.dtype.str[1:] not in types, f"takes no {array.dtype} values", "write a TIFF"),
+        (meaning == "cmyk" and not form.cmyk, "holds no CMYK colours", "write TIFF or JPEG"),
+        (meaning == "lab" and form is not TIFF, "holds no Lab colours", "write a TIFF"),
+        (0 in extra and form is not TIFF, "holds no channels of data beside the colours", "write a TIFF"),
+        (2 in extra and not form.alpha, "holds no transparency", "write PNG, TIFF, WebP or AVIF"),
+        (many and form is not TIFF, f"does not hold {channels} channels", "write a TIFF"),
+        (max(array.shape[:2]) > form.limit, f"ends at {form.limit} pixels on a side, and the image has {size}", other),
+    )
+    for wrong, what, advice in refusals:
+        if wrong:
+            raise unwritable(path, f"{form.name} {what}", advice)
 
 
 def wrapped(array: Array, meaning: str, bits: int) -> Any:
@@ -157,6 +150,14 @@ def wrapped(array: Array, meaning: str, bits: int) -> Any:
     if bits == 8:
         meaning = {"grey16": "b-w", "rgb16": "srgb"}.get(meaning, meaning)
     return image.copy(interpretation=meaning)
+
+
+def of_pixels(pixels: Array, bits: int, extra: int = 0, meaning: str = "") -> Any:
+    """Return decoded pixels as an image of libvips that says their bits; ``extra`` channels are no colours."""
+    channels = pixels.shape[2] if pixels.ndim == 3 else 1
+    image = wrapped(np.ascontiguousarray(pixels), meant(pixels.dtype, channels - extra, meaning), 32)
+    image.set_type(pyvips.GValue.gint_type, "bits-per-sample", bits)
+    return image
 
 
 def settings(form: Format, array: Array, bits: int, quality: int | None, lossless: bool) -> dict[str, Any]:
@@ -188,14 +189,41 @@ def compressed(form: Format, array: Array, how: str | None, lossless: bool) -> d
     return {"compression": "none" if level == 0 else how}
 
 
+def white_of(dtype: np.dtype[Any]) -> float:
+    """Return the value of white, and of full opacity."""
+    return float(np.iinfo(dtype).max) if dtype.kind in "iu" else 1.0
+
+
 def divided(pixels: Array) -> Array:
     """Return pixels whose colours are not multiplied by their opacity, the last channel."""
-    white = np.iinfo(pixels.dtype).max if pixels.dtype.kind in "iu" else 1.0
+    white = white_of(pixels.dtype)
     opacity = pixels[..., -1:].astype(np.float64)
-    colours = pixels[..., :-1] * float(white)
+    colours = pixels[..., :-1] * white
     np.divide(colours, opacity, out=colours, where=opacity > 0)
     colours = np.rint(np.minimum(colours, white)) if pixels.dtype.kind in "iu" else colours
     return np.concatenate([colours.astype(pixels.dtype), pixels[..., -1:]], axis=-1)
+
+
+def codec_of(path: PathLike, head: bytes) -> tuple[str, str] | None:
+    """Return FFmpeg's codec for an image, by its first bytes, and its format; TGA, without a signature, by its name."""
+    for known in FORMATS:
+        for pattern, codec in known.magic.items():
+            if re.match(pattern, head):
+                return codec, known.name
+    return ("targa", "TGA") if os.fspath(path).lower().endswith(".tga") else None
+
+
+def damaged(path: PathLike, why: str = "") -> SuppleError:
+    """Return an error for a file that cannot be decoded, with a library's reason; without, it is not known at all."""
+    what = f"it is damaged, cut short or of a kind that is not supported ({why})"
+    what = what if why else "it is no image of a known kind, or cut short"
+    return unreadable(path, what, "give a whole copy of it, or convert it, to PNG or TIFF for instance")
+
+
+def bounds(mask: Array) -> Box | None:
+    """Return the box around all that is true; None if nothing is."""
+    rows, columns = (np.flatnonzero(mask.any(axis=axis)) for axis in (1, 0))
+    return (int(columns[0]), int(rows[0]), int(columns[-1]) + 1, int(rows[-1]) + 1) if rows.size else None
 
 
 def is_exr(path: PathLike) -> bool:

@@ -23,14 +23,12 @@ _KEPT = ("dpx", "icc-profile-data", "exif-data", "xmp-data", "iptc-data", "image
 EXTRA = "supple-extra"
 """The field of an image that has the meanings of the channels above its colours, as `tiff.Tiff.extra`."""
 _THUMBNAIL = ("exif-ifd1-", "jpeg-thumbnail-data")
-_ALL, _EXIF = 63, 1  # libvips' flags for the parts of a header
+NO_EXIF = 62  # all other flags of libvips for the parts of a header
 _UNKNOWN = 0.1  # a pixel a centimetre, which `finish` removes
 _HEAD = 1 << 20  # bytes at the beginning that are looked through
 _EXIF_MOST = 65_000  # libvips reads no more than fits into a JPEG, and adds a few tags
 # Previews in metadata show the old pixels: they are removed, wherever they are.
 _SIGNS = re.compile(rb"\xff\xd8\xff|\xff\xd9")  # where a JPEG begins, and where one ends
-_RESOURCE = re.compile(rb"(?s)8BIM(..)")
-_THUMBNAILS = (1033, 1036)
 _PLACES = rb"(?:\w+:Thumbnails|(?:Container|GContainer|GDepth|GImage|hdrgm|HDRGainMap):\w+|xmpNote:HasExtendedXMP)"
 # elements, attributes, and any picture in base64: JPEG, PNG, GIF, WebP, TIFF, AVIF and HEIF
 _IN_XMP = (
@@ -109,14 +107,12 @@ def collected(path: PathLike, image: Any, form: str, turned: bool) -> tuple[dict
     if "xmp-data" in header:  # it may repeat the orientation
         pattern = rb"(tiff:Orientation(?:=[\"']|>)\s*)[2-8]"
         header["xmp-data"] = _without_pictures(re.sub(pattern, rb"\g<1>1", header["xmp-data"]))
-    if "iptc-data" in header:
-        header["iptc-data"] = _blanked(_without_thumbnails(header["iptc-data"]))
     for name in [name for name in header if "-Raw profile type " in name]:  # in hexadecimal digits
         if "ffd8ff" in "".join(header[name].lower().split()):
             del header[name]
     sizes = (image.yres, image.xres) if turned else (image.xres, image.yres)
     if min(sizes) > 0 and sizes != (1, 1) and _tells_size(path, image, form):  # libvips' code for unknown
-        header["xres"], header["yres"] = sizes
+        header["resolution"] = sizes
     lost = []
     if form == "TIFF":
         tiff = Page(path).tiff
@@ -131,8 +127,8 @@ def collected(path: PathLike, image: Any, form: str, turned: bool) -> tuple[dict
             lost.append("a part of its EXIF")
         if image.get_typeof("iptc-data"):  # libvips garbles it
             lost.append("its IPTC")
-    if "exif-data" in header:
-        header["exif-data"] = _blanked(header["exif-data"])
+    for name in {"exif-data", "iptc-data"} & header.keys():
+        header[name] = _blanked(header[name])
     header["saved"] = form, saved_as(path, image, form)
     if image.get_typeof("gainmap-data"):
         lost.append("its HDR gain map")
@@ -140,7 +136,7 @@ def collected(path: PathLike, image: Any, form: str, turned: bool) -> tuple[dict
 
 
 def _blanked(data: bytes) -> bytes:
-    """Return bytes with zeros for every JPEG in them, in maker notes for instance, whose offsets stay valid."""
+    """Return bytes with zeros for every JPEG in them, a thumbnail or a maker's preview: offsets stay valid."""
     made, begin, depth = bytearray(data), 0, 0
     for found in _SIGNS.finditer(data):  # one may hold another
         opens = found[0] != b"\xff\xd9"
@@ -150,19 +146,6 @@ def _blanked(data: bytes) -> bytes:
             depth += 1 if opens else -1
             made[begin : found.end()] = bytes(found.end() - begin)
     return bytes(made)
-
-
-def _without_thumbnails(data: bytes) -> bytes:
-    """Return Photoshop's image resources without thumbnails."""
-    made, at = bytearray(), 0
-    while found := _RESOURCE.search(data, at):
-        made += data[at : found.start()]
-        name = found.end() + (data[found.end()] // 2 * 2 + 2 if found.end() < len(data) else 0)
-        size = int.from_bytes(data[name : name + 4])
-        at = min(name + 4 + size + size % 2, len(data))
-        if int.from_bytes(found[1]) not in _THUMBNAILS:
-            made += data[found.start() : at]
-    return bytes(made + data[at:])
 
 
 def _without_pictures(xmp: bytes) -> bytes:
@@ -210,9 +193,7 @@ def dressed(
     """
     lost = []
     header = dict(header)
-    sizes = header.pop("xres", None), header.pop("yres", None)
-    for name in ("tiff", "saved"):
-        header.pop(name, None)
+    sizes = header.pop("resolution", None)
     if icc is not None:
         sign = icc[16:20]
         stored = colours if form.grey else max(3, colours)
@@ -236,22 +217,11 @@ def dressed(
         if name.startswith(_THUMBNAIL):  # the old thumbnail is out of date
             image.remove(name)
     image.set_type(pyvips.GValue.gint_type, "orientation", 1)
-    if sizes[0] is None and (image.xres, image.yres) != (1, 1):
+    if sizes is None and (image.xres, image.yres) != (1, 1):  # as EXIF says
         sizes = image.xres, image.yres
     usual = 72 / 25.4 if image.get_typeof("exif-data") and form is not TIFF else _UNKNOWN  # EXIF's default
-    return image.copy(xres=sizes[0] or usual, yres=sizes[1] or usual), lost, sizes[0] is not None
-
-
-def kept(image: Any, form: Format, sized: bool) -> dict[str, Any]:
-    """Return the settings of a libvips saver that keep it from adding EXIF.
-
-    WebP and AVIF need EXIF for a known resolution.
-    """
-    if form is TIFF:
-        return {} if sized else {"resunit": "cm"}
-    if image.get_typeof("exif-data") or (form not in (PNG, JPEG) and sized):
-        return {}
-    return {"keep": _ALL & ~_EXIF}
+    xres, yres = sizes or (usual, usual)
+    return image.copy(xres=xres, yres=yres), lost, sizes is not None
 
 
 # Kept: libvips makes a resolution up, or leaves one out (test_nothing_is_invented, test_resolution_comes_through).
@@ -274,30 +244,22 @@ def finish(path: PathLike, image: Any, form: Format, sized: bool) -> None:
 
 
 def _jfif(xres: float, yres: float) -> bytes:
-    """Return JFIF's marker, with dots per inch or per centimetre, whichever is nearer to integers."""
-
-    def rounded(step: float) -> tuple[float, list[int]]:
-        dots = (xres * step, yres * step)
-        whole = [min(max(round(x), 1), 65535) for x in dots]
-        return max(abs(x - n) / n for x, n in zip(dots, whole, strict=True)), whole
-
-    unit, dots = min((1, rounded(25.4)), (2, rounded(10.0)), key=lambda found: found[1][0])
-    return struct.pack(">HH5sHBHHBB", 0xFFE0, 16, b"JFIF\0", 0x0102, unit, *dots[1], 0, 0)
+    """Return JFIF's marker, with dots per inch or per centimetre, whichever are nearer to integers."""
+    unit, step = min(((1, 25.4), (2, 10.0)), key=lambda each: abs(xres * each[1] - round(xres * each[1])))
+    dots = (min(max(round(x * step), 1), 65535) for x in (xres, yres))
+    return struct.pack(">HH5sHBHHBB", 0xFFE0, 16, b"JFIF\0", 0x0102, unit, *dots, 0, 0)
 
 
 def profile_name(icc: bytes) -> str | None:
     """Return the description in a colour profile, of either version."""
+    at = icc.find(b"desc", 132)  # in the table of tags, which comes first
     try:
-        (count,) = struct.unpack_from(">I", icc, 128)
-        for entry in range(count):
-            sign, start, size = struct.unpack_from(">4sII", icc, 132 + 12 * entry)
-            if sign == b"desc":
-                tag = icc[start : start + size]
-                if tag.startswith(b"mluc"):
-                    length, start = struct.unpack_from(">II", tag, 20)
-                    return tag[start : start + length].decode("utf-16-be")
-                (length,) = struct.unpack_from(">I", tag, 8)
-                return tag[12 : 12 + length].rstrip(b"\0").decode("ascii", "replace")
+        start, size = struct.unpack_from(">II", icc, at + 4)
+        tag = icc[start : start + size] if at > 0 else b""
+        if tag.startswith(b"mluc"):
+            length, start = struct.unpack_from(">II", tag, 20)
+            return tag[start : start + length].decode("utf-16-be")
+        (length,) = struct.unpack_from(">I", tag, 8)
+        return tag[12 : 12 + length].rstrip(b"\0").decode("ascii", "replace")
     except (struct.error, UnicodeError):
-        pass  # a broken profile has no name
-    return None
+        return None  # a broken profile has no name

@@ -9,14 +9,14 @@ from typing import Any, NoReturn
 
 import numpy as np
 
-from supple.media.files import PathLike, unreadable
-from supple.media.image.exif import Folder, Order, Reader, Value, into_tiff
-from supple.media.image.formats import Array
+from supple.errors import need, said
+from supple.media.files import PathLike, refusing, unreadable
+from supple.media.image.exif import Folder, Reader, Value, into_tiff
+from supple.media.image.formats import Array, damaged
 
-_WIDTH, _BITS, _COMPRESSION, _PHOTOMETRIC, _SAMPLES, _PLANAR = 256, 258, 259, 262, 277, 284
+_BITS, _COMPRESSION, _PHOTOMETRIC, _SAMPLES, _PLANAR = 258, 259, 262, 277, 284
 _PREDICTOR, _TILE_WIDTH, _TILE_HEIGHT, _INKS, _EXTRA, _FORMAT = 317, 322, 323, 332, 338, 339
 _UNIT = 296
-_STORED = ((273, 279), (324, 325))  # the offsets and sizes of strips, and of tiles
 MINISWHITE, RGB, YCBCR, CIELAB, ICCLAB, ITULAB = 0, 2, 6, 8, 9, 10
 MASK, _MOSAIC = 4, 32803
 # by photometric interpretation; others have three, inks their own
@@ -108,13 +108,17 @@ class Page:
             self._form, at = reader.form, reader.first
             for _ in range(number):
                 at = self._form.number(reader.entries(at)[1])
-            entries, _ = reader.entries(at)
-            form = self._form
-            self._at = {form.number(e[:2]): at + form.count + form.step * k for k, e in reversed([*enumerate(entries)])}
-            self._entries = {form.number(e[:2]): e for e in reversed(entries)}
-            self._size = reader.size
-            whole = [tag for tag in (_BITS, _EXTRA, _FORMAT, *_TAGS) if tag in self._entries]
-            self._values = {tag: value for tag in whole if (value := reader.value(self._entries[tag])) is not None}
+            form, entries = self._form, reader.entries(at)[0]
+            self._entries: dict[int, int] = {}  # where they are in the file
+            self._values: dict[int, Value] = {}
+            self._integers: dict[int, int] = {}
+            for k, entry in enumerate(entries):
+                tag = form.number(entry[:2])
+                if self._entries.setdefault(tag, place := at + form.count + form.step * k) != place:
+                    continue  # of a tag that is there twice, the first counts
+                self._integers[tag] = reader.integer(entry)
+                if tag in (_BITS, _EXTRA, _FORMAT, *_TAGS) and (value := reader.value(entry)) is not None:
+                    self._values[tag] = value
         bits, kinds = self._numbers(_BITS) or (1,), self._numbers(_FORMAT) or (1,)
         self.bits, self._kind = (bits[0], kinds[0]) if len({*bits}) == len({*kinds}) == 1 else (0, 0)
         self._kind = 1 if self._kind == 4 else self._kind  # unknown ones are taken for integers
@@ -126,17 +130,12 @@ class Page:
 
     def _numbers(self, tag: int) -> tuple[int, ...]:
         value = self._values.get(tag)
-        if value is None or value.kind not in (1, 3, 4):
-            return ()
-        order = "<" if value.order == "little" else ">"
-        return tuple(np.frombuffer(value.data, f"{order}u{(0, 1, 0, 2, 4)[value.kind]}").tolist())
+        kind = {1: "<u1", 3: "<u2", 4: "<u4"}.get(value.kind) if value is not None else None
+        return tuple(np.frombuffer(value.data, kind).tolist()) if value is not None and kind else ()
 
     def _one(self, tag: int) -> int:
         """Return an integer in a tag; 0 if it is missing."""
-        if (entry := self._entries.get(tag)) is None:
-            return 0
-        kind = self._form.number(entry[2:4])
-        return self._form.number(entry[-self._form.word :][: {1: 1, 3: 2, 4: 4, 16: 8}.get(kind, 2)])
+        return self._integers.get(tag, 0)
 
     def _facts(self) -> Tiff:
         inks = self.photometric == 5
@@ -151,16 +150,16 @@ class Page:
         saved = _SAVED.get(self._compression, "deflate")
         if saved == "jpeg" and (extra or multi or self.bits != 8 or self.photometric not in (1, RGB, YCBCR)):
             saved = "deflate"  # libvips would write fewer channels
+        is_kept = saved == _SAVED.get(self._compression)
         options: dict[str, Any] = {"compression": saved}
-        if saved in _PREDICTED and (self._compression != 32946 and saved == _SAVED.get(self._compression)):
+        if is_kept and saved in _PREDICTED:
             options["predictor"] = {2: "horizontal", 3: "float"}.get(self._one(_PREDICTOR), "none")
         if self.tiled:
             options |= {"tile": True, "tile_width": self._one(_TILE_WIDTH), "tile_height": self._one(_TILE_HEIGHT)}
         if self._form.big:
             options["bigtiff"] = True
         tags: Folder = {tag: self._values[tag] for tag in _TAGS if tag in self._values}
-        kept = saved != "deflate" or _SAVED.get(self._compression) == saved
-        unkept = "" if kept else _UNKEPT.get(self._compression, f"method {self._compression}")
+        unkept = "" if is_kept else _UNKEPT.get(self._compression, f"method {self._compression}")
         return Tiff(self.photometric, extra, meaning, options, tags, unkept)
 
     @property
@@ -171,112 +170,71 @@ class Page:
     @property
     def is_plain(self) -> bool:
         """Whether libvips reads the samples as they are, and knows what they are."""
-        usual = self.bits in (8, 16, 32) or (self.bits in (1, 2, 4) and self.samples == 1)
         inverted = self.photometric == MINISWHITE and self.samples > 1
         lab = self.photometric in (CIELAB, ICCLAB, ITULAB) and self._kind != 3
         odd = inverted or lab or self.photometric in (MASK, _MOSAIC)
-        return usual and self.planes == 1 and 1 not in self.tiff.extra and not odd
+        return self.is_usual and 1 not in self.tiff.extra and not odd
 
-    def decoded(self, read: Callable[[Any, int], Array]) -> tuple[Array, int]:
-        """Return all samples, of shape (H, W) or (H, W, C), in grey, RGB, CMYK or Lab, and their bits.
+    @property
+    def is_usual(self) -> bool:
+        """Whether libvips reads the samples, if it is told that they are grey or RGB."""
+        usual = self.bits in (8, 16, 32) or (self.bits in (1, 2, 4) and self.samples == 1)
+        return usual and self.planes == 1
 
-        In Lab of integers, a* and b* are 0 in the middle of the range, as in ICC's encoding. ``read`` decodes a page of
-        a file in memory by libvips, given its number.
+    def retagged(self) -> mmap.mmap:
+        """Return the file in memory, where the page is grey or RGB without opacity, or of one sample of 8 bits.
+
+        SuppleError for samples that are not supported.
         """
-        if not self.bits or (self.bits == 64 and self._kind != 3) or self._kind not in (1, 2, 3):
-            self._refuse("its samples are of different types, complex, or integers of 64 bits")
-        if self._kind != 1 and self.bits not in (8, 16, 32, 64):
-            self._refuse(f"its samples are of {self.bits} bits, and no unsigned integers")
+        depths = {1: range(1, 33), 2: (8, 16, 32), 3: (8, 16, 32, 64)}
+        if self.bits not in depths.get(self._kind, ()):
+            self._refuse("its samples are of different types or odd depths, complex, or integers of 64 bits")
         if self.photometric == _MOSAIC:
             self._refuse("it is a mosaic of colours, from a camera's sensor")
         if self.planes > 1 and self.photometric == YCBCR:
             self._refuse("it holds YCbCr in separate planes")
-        parts = [self._plane(read, k) for k in range(self.planes)]
-        made = parts[0] if len(parts) == 1 else np.stack([part.reshape(part.shape[:2]) for part in parts], axis=-1)
-        if made.dtype.kind == "u":
-            depth = made.dtype.itemsize * 8
-            if self.bits < depth:  # so that white is the largest value
-                made = made << (depth - self.bits)
-                for step in (self.bits, 2 * self.bits, 4 * self.bits):
-                    made |= made >> step if step < depth else 0
-        return np.ascontiguousarray(swapped(self.tiff, made)), self.bits
+        with open(self._path, "rb") as file:
+            data = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_COPY)
+        values = {_PHOTOMETRIC: RGB if self.samples > 2 else 1}
+        if not self.is_usual:
+            values = {_PHOTOMETRIC: 1, _PLANAR: 1, _SAMPLES: 1, _BITS: 8, _FORMAT: 1, _PREDICTOR: 1}
+        form = self._form
+        for tag in values.keys() & self._entries.keys():
+            at = self._entries[tag]
+            entry = form.bytes(tag, 2) + form.bytes(4, 2) + form.bytes(1, form.word) + form.bytes(values[tag], 4)
+            data[at : at + form.step] = entry.ljust(form.step, b"\0")
+        if _EXTRA in self._entries:  # named as the one before it: libtiff ignores the second of two
+            at = self._entries[_EXTRA]
+            data[at : at + 2] = form.bytes(max(tag for tag in self._entries if tag < _EXTRA), 2)
+        return data
+
+    def decoded(self, read: Callable[[], Array]) -> Array:
+        """Return all samples, of shape (H, W) or (H, W, C), in grey, RGB, CMYK or Lab.
+
+        In Lab of integers, a* and b* are 0 in the middle of the range, as in ICC's encoding. ``read`` decodes what
+        `retagged` returns by libvips, if the samples are usual; others are decoded by tifffile.
+        """
+        return swapped(self.tiff, read() if self.is_usual else self._by_tifffile())
 
     def _refuse(self, what: str) -> NoReturn:
         what = f"it is of a kind that is not supported ({what})"
         raise unreadable(self._path, what, "convert it, to PNG for instance")
 
-    def _plane(self, read: Callable[[Any, int], Array], k: int) -> Array:
-        """Decode one plane, or all samples if they lie together."""
-        with open(self._path, "rb") as file:
-            data = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_COPY)
-        count = self.samples // self.planes
-        usual = self.bits in (8, 16, 32)
-        values = {_PLANAR: 1, _PHOTOMETRIC: RGB if count > 2 and usual else 1, _SAMPLES: count if usual else 1}
-        across, predictor = self._one(_WIDTH), self._one(_PREDICTOR)
-        pixel = self.bits * count
-        if not usual:  # read as bytes
-            values |= {_BITS: 8, _FORMAT: 1, _PREDICTOR: 1}
-            segment = self._one(_TILE_WIDTH) if self.tiled else across
-            whole = -(-across // segment) * segment
-            values[_WIDTH] = -(-whole * pixel // 8)
-            if self.tiled:
-                values[_TILE_WIDTH] = segment * pixel // 8
-        for tag, value in values.items():
-            self._set(data, tag, 4 if tag in (_WIDTH, _TILE_WIDTH) else 3, value)
-        if (at := self._at.get(_EXTRA)) is not None:  # named as the one before it: libtiff ignores the second of two
-            data[at : at + 2] = self._form.bytes(max(tag for tag in self._at if tag < _EXTRA), 2)
-        if self.planes > 1:
-            for tag in (tag for pair in _STORED for tag in pair if tag in self._at):
-                self._share(data, tag, k)
-        made = read(data, self._number)
-        if usual:
-            return made
-        if self.bits == 64:
-            return self._doubles(made, segment, count, predictor)[:, :across]
-        if predictor > 1:
-            self._refuse(f"its samples of {self.bits} bits are compressed by their differences")
-        held = np.unpackbits(made.reshape(len(made), -1), axis=1)[:, : across * pixel]
-        weights = 1 << np.arange(self.bits, dtype=np.uint32)[::-1]
-        numbers = held.reshape(len(made), across, count, self.bits) @ weights
-        numbers = numbers.astype(np.uint8 if self.bits < 8 else np.uint16 if self.bits < 16 else np.uint32)
-        return numbers[..., 0] if count == 1 else numbers
+    def _by_tifffile(self) -> Array:
+        need("volume", "TIFFs of planes, of odd depths or of 64 bits", "tifffile")
+        import tifffile
 
-    def _doubles(self, rows: Array, segment: int, count: int, predictor: int) -> Array:
-        """Return doubles from rows of bytes, of which each segment may be compressed by its differences."""
-        order: Order = self._form.order
-        dtype = np.dtype("<f8" if order == "little" else ">f8")
-        held = rows.reshape(len(rows), -1, segment, count * 8)
-        if predictor == 3:  # differences of bytes, the first bytes of all samples before the second ones
-            steps = np.cumsum(held.reshape(len(rows), -1, segment * 8, count), axis=2, dtype=np.uint8)
-            big = steps.reshape(len(rows), -1, 8, segment * count).swapaxes(2, 3)
-            made = np.ascontiguousarray(big).view(">f8")
-        elif predictor == 2:
-            whole = np.ascontiguousarray(held).view(dtype.str.replace("f", "u")).astype(np.uint64)
-            made = np.cumsum(whole.reshape(len(rows), -1, segment, count), axis=2, dtype=np.uint64).view(np.float64)
-        else:
-            made = np.ascontiguousarray(held).view(dtype)
-        shape = (len(rows), -1, count) if count > 1 else (len(rows), -1)
-        return np.asarray(made.reshape(shape), np.float64)
-
-    def _set(self, data: mmap.mmap, tag: int, kind: int, value: int) -> None:
-        """Change a tag, if it is there, to one integer."""
-        if (at := self._at.get(tag)) is not None:
-            form = self._form
-            entry = form.bytes(tag, 2) + form.bytes(kind, 2) + form.bytes(1, form.word)
-            data[at : at + form.step] = (entry + form.bytes(value, 2 if kind == 3 else 4)).ljust(form.step, b"\0")
-
-    def _share(self, data: mmap.mmap, tag: int, k: int) -> None:
-        """Reduce the offsets or sizes of strips to those of one plane."""
-        form, entry, at = self._form, self._entries[tag], self._at[tag]
-        kind, count = form.number(entry[2:4]), form.number(entry[4 : -form.word])
-        size = {3: 2, 4: 4, 16: 8}.get(kind, 4)
-        if count % self.planes or kind not in (3, 4, 16):
-            self._refuse("its planes have different numbers of strips")
-        few = count // self.planes
-        begin = at + form.step - form.word if count * size <= form.word else form.number(entry[-form.word :])
-        begin += k * few * size
-        inline = data[begin : begin + few * size] if few * size <= form.word else form.bytes(begin, form.word)
-        data[at + 4 : at + form.step] = form.bytes(few, form.word) + inline.ljust(form.word, b"\0")
+        with refusing(lambda error: damaged(self._path, said(error)), Exception), tifffile.TiffFile(self._path) as file:
+            page = file.pages[self._number]
+            pixels = np.asarray(page.asarray())
+        pixels = np.moveaxis(pixels, 0, -1) if self.planes > 1 else pixels
+        pixels = np.ascontiguousarray(pixels, pixels.dtype.newbyteorder("="))
+        depth = pixels.dtype.itemsize * 8
+        if pixels.dtype.kind == "u" and self.bits < depth:  # so that white is the largest value
+            pixels = pixels << (depth - self.bits)
+            for step in (self.bits, 2 * self.bits, 4 * self.bits):
+                pixels |= pixels >> step if step < depth else 0
+        return pixels
 
 
 def swapped(tiff: Tiff, pixels: Array) -> Array:
