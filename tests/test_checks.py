@@ -141,7 +141,7 @@ def test_of_splines_the_derivatives_are_exact(interpolation: Any) -> None:
 
 def through(field: Field, points: Floats) -> Floats:
     """Return points as the interpolant maps them."""
-    return checks._through([field.packed(np.eye(4))], points, 3)[0]
+    return checks.through([("field", field.packed(np.eye(4)), False)], points)[0]
 
 
 @pytest.mark.parametrize("grid", [GRID, FLAT], ids=["volume", "picture"])

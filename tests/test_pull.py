@@ -161,7 +161,9 @@ def test_refusals() -> None:
     d = Deformation((120, 160))
     assert "takes one of to and by, found neither" in refusal(lambda: d.pull([(1, 2)], radius=3))
     assert "takes one of to and by, found both" in refusal(lambda: d.pull([(1, 2)], by=[(1, 1)], to=[(2, 2)], radius=3))
-    assert refusal(lambda: d.pull([(9, 9), (9, 8)], by=[(1, 1)], radius=3)).startswith("by must be 2 points")
+    assert refusal(lambda: d.pull([(9, 9), (9, 8)], by=[(1, 1)], radius=3)).startswith(
+        "by must be an array of shape (2, 2)"
+    )
     assert refusal(lambda: d.pull([], by=[], radius=3)).startswith("points must be one point at least")
     assert refusal(lambda: d.pull([1, 2], by=[1, 2], radius=3)).startswith("points must be points of 2 or 3 numbers")
     crowd = [(x, 1) for x in range(MOST_HANDLES)]
@@ -172,9 +174,9 @@ def test_refusals() -> None:
         "a pull of 2 handles with radius 3 has two handles at (9, 9), 1 and 2: leave one out"
     )
     assert refusal(lambda: d.pull([(9, 9)], to=[(9, 8, 3)], radius=3)) == (
-        "to must be points of 2 numbers, as the dragged ones, found 3 numbers"
+        "to must be an array of shape (1, 2), as the points are, found shape (1, 3)"
     )
-    assert "pins must be points of 2 numbers" in refusal(
+    assert "also[0] point must be 2 numbers" in refusal(
         lambda: d.pull([(9, 9)], to=[(9, 8)], pins=[(1, 2, 3)], radius=3)
     )
     assert "starts or ends on the edge" in refusal(lambda: d.pull([(9, 9), (30, 9)], by=[(-20, 0), (0, 0)], radius=3))

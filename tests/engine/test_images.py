@@ -239,10 +239,10 @@ def test_what_holds_an_array_is_no_array(tmp_path: Path) -> None:
     image = SimpleITK.GetImageFromArray(samples)
     proxied = nibabel.Nifti1Image(samples.T, np.eye(4))
     for given, told in (
-        ([image], "an image of SimpleITK: give it to Deformation.warp, or its array"),
-        ([proxied], "an image of nibabel: give it to Deformation.warp, or its array"),
-        (pydicom.Dataset(), "a data set of pydicom: give its pixel_array"),
-        (Volume(samples, Geometry()), "a volume: give its samples"),
+        ([image], "one of SimpleITK.SimpleITK.Image: give its array"),
+        ([proxied], "one of nibabel.nifti1.Nifti1Image: give its array"),
+        (pydicom.Dataset(), "one of pydicom.dataset.Dataset: give its array"),
+        (Volume(samples, Geometry()), "one of supple.media.volume.data.Volume: give its array"),
         ("in.nii", "the name of a file: supple.warp_file warps files"),
         (tmp_path / "in.nii", "the name of a file"),
     ):

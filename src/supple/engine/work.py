@@ -201,7 +201,8 @@ class Layout:
     @property
     def step(self) -> tuple[int, int]:
         """The largest spacing of the samples of any group, in pixels, x first."""
-        return max(g.step[0] for g in self.groups), max(g.step[1] for g in self.groups)
+        along, down = zip(*(group.step for group in self.groups), strict=True)
+        return max(along), max(down)
 
 
 @dataclass(frozen=True, slots=True)

@@ -35,6 +35,14 @@ def too_narrow() -> str:
     )
 
 
+def too_many() -> str:
+    """Return what is wrong with a stroke that would take too many steps."""
+    return (
+        f"would take more than {MOST_SUBSTROKES} strokes to arrive without a fold; use a larger radius, a point "
+        f"further from the border, or {argument('on_fold', 'damp')}"
+    )
+
+
 def all_the_way(also: str = "") -> str:
     """Return the advice for a drag that folds."""
     return f"({argument('on_fold', 'flow')} goes all the way{also})"

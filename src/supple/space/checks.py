@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import operator
 import reprlib
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from numbers import Real
 from typing import Any, NoReturn, SupportsIndex
 
@@ -84,6 +84,19 @@ def items(name: str, value: object, wanted: str, lengths: tuple[int, ...]) -> li
     if text or not isinstance(value, Sequence) or len(value) not in lengths:
         refuse(name, wanted, value)
     return list(value)
+
+
+def listed(name: str, value: object, wanted: str) -> tuple[Any, ...]:
+    """Return the items of any iterable but text; SuppleError for other values."""
+    if not isinstance(value, Iterable) or isinstance(value, str | bytes):
+        refuse(name, wanted, value)
+    return tuple(value)
+
+
+def assign(frozen: object, **values: object) -> None:
+    """Set fields of a frozen value, while it is made."""
+    for name, value in values.items():
+        object.__setattr__(frozen, name, value)
 
 
 def point(name: str, value: object, lengths: tuple[int, ...] = (2, 3)) -> tuple[float, ...]:

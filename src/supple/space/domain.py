@@ -14,6 +14,7 @@ from supple.space.checks import (
     LARGEST,
     LENGTH,
     SMALLEST,
+    assign,
     checked_shape,
     checked_spacing,
     choice,
@@ -101,20 +102,14 @@ class Domain:
         time: bool = False,
         freeze: Freeze | None = None,
     ) -> None:
-        sizes = checked_shape(shape)
-        object.__setattr__(self, "shape", sizes)
-        object.__setattr__(self, "spacing", checked_spacing(spacing, len(sizes)))
-        checked = checked_border(border)
+        sizes, checked = checked_shape(shape), checked_border(border)
         if isinstance(checked, tuple) and len(checked) != len(sizes):
             refuse("border", f"one width, or {len(sizes)} of them (x first) for a shape of {len(sizes)} axes", border)
         if isinstance(checked, tuple) and len(set(checked)) == 1:  # equal domains compare equal
             checked = checked[0]
-        object.__setattr__(self, "border", checked)
         if flag("time", time) and len(sizes) == 2:
             refuse("time", "False for a shape of two axes, which is an image", time)
-        object.__setattr__(self, "time", bool(time))
         check_border_profile(border_profile)
-        object.__setattr__(self, "border_profile", border_profile)
         if freeze is not None and freeze.ndim != len(sizes) and not (time and freeze.ndim == 2):
             held, kind = "a picture" if freeze.ndim == 2 else "a volume", "picture" if len(sizes) == 2 else "volume"
             raise SuppleError(f"{freeze.told} is {held}, and what is deformed is none: give a {kind} of its size")
@@ -123,7 +118,9 @@ class Domain:
             raise SuppleError(
                 f"{freeze.told} is of {found} samples, and what is deformed of {wanted}: give a mask of its size"
             )
-        object.__setattr__(self, "freeze", freeze)
+        spacing = checked_spacing(spacing, len(sizes))
+        assign(self, shape=sizes, spacing=spacing, border=checked, time=bool(time), freeze=freeze)
+        assign(self, border_profile=border_profile)
 
     @property
     def ndim(self) -> int:

@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from supple.errors import SuppleError
 from supple.space.affine import Affine, Projective
-from supple.space.checks import choice, integer, items, number, point, refuse
+from supple.space.checks import assign, choice, integer, items, number, point, refuse
 
 Floats = npt.NDArray[np.float64]
 Frame = Literal["crop", "pad", "keep"]
@@ -71,14 +71,13 @@ class Straighten:
         sizes = items("scale_to", given_sizes, "a width, or a width and a height", (0, 1, 2))
         most = f"a number of pixels from 1 to {_LONGEST}"
         choice("fit", self.fit, FRAMES)
-        checked = {
-            "rotate": number("rotate", self.rotate, "a number of degrees from -360 to 360", -360.0, 360.0),
-            "shear": (x, y),
-            "keystone": quad,
-            "scale_to": tuple(integer("scale_to", n, most, 1, _LONGEST) for n in sizes),
-        }
-        for name, value in checked.items():
-            object.__setattr__(self, name, value)
+        assign(
+            self,
+            rotate=number("rotate", self.rotate, "a number of degrees from -360 to 360", -360.0, 360.0),
+            shear=(x, y),
+            keystone=quad,
+            scale_to=tuple(integer("scale_to", n, most, 1, _LONGEST) for n in sizes),
+        )
 
     @property
     def has_gaps(self) -> bool:
