@@ -28,8 +28,9 @@ FIRST, SECOND = (Stroke(at=at, by=(3.0, 1.0), radius=9.0) for at in ((20.0, 16.0
 SOLID = Stroke(at=(20.0, 16.0, 5.0), by=(0.0, 0.0, 1.0), radius=9.0)
 
 
-def made() -> Deformation:
-    return Deformation((40, 48), border=5, spacing=(1.0, 2.0), on_fold="damp").add(FIRST).add(SECOND)
+def made(shape: tuple[int, int] = (40, 48), **how: Any) -> Deformation:
+    known: dict[str, Any] = {"border": 5, "spacing": (1.0, 2.0), "on_fold": "damp", **how}
+    return Deformation(shape, **known).add(FIRST).add(SECOND)
 
 
 def test_deformations_with_the_same_parts_are_equal() -> None:
@@ -53,16 +54,12 @@ def test_deformations_with_the_same_parts_are_equal() -> None:
         lambda: made().without_strokes(),
         lambda: made().without_strokes().add(SECOND).add(FIRST),
         lambda: made().without_strokes().add(FIRST).grab((25, 20), by=(3, 1), radius=9, reach=None),
-        lambda: Deformation((40, 49), border=5, spacing=(1.0, 2.0), on_fold="damp").add(FIRST).add(SECOND),
-        lambda: Deformation((40, 48), border=6, spacing=(1.0, 2.0), on_fold="damp").add(FIRST).add(SECOND),
-        lambda: Deformation((40, 48), border=None, spacing=(1.0, 2.0), on_fold="damp").add(FIRST).add(SECOND),
-        lambda: Deformation((40, 48), border=5, spacing=(2.0, 1.0), on_fold="damp").add(FIRST).add(SECOND),
-        lambda: Deformation((40, 48), border=5, spacing=(1.0, 2.0), on_fold="flow").add(FIRST).add(SECOND),
-        lambda: (
-            Deformation((40, 48), border=5, spacing=(1.0, 2.0), on_fold="damp", border_profile="sine")
-            .add(FIRST)
-            .add(SECOND)
-        ),
+        lambda: made((40, 49)),
+        lambda: made(border=6),
+        lambda: made(border=None),
+        lambda: made(spacing=(2.0, 1.0)),
+        lambda: made(on_fold="flow"),
+        lambda: made(border_profile="sine"),
     ],
 )
 def test_deformations_that_differ_in_a_part_are_not(other: Callable[[], Deformation]) -> None:

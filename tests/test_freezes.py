@@ -309,15 +309,6 @@ def test_clips_of_floats_keep_what_is_frozen_and_differ_beside_it_as_far_as_it_m
     assert np.all(np.abs(out - clip)[faint] <= 0.13 * (moved[faint] + 0.01))
 
 
-@pytest.mark.parametrize(("amount", "strength"), [(2.0, 0.5), (0.5, 2.0), (-1.0, -1.0)])
-def test_amounts_and_strengths_that_make_all_of_a_stroke(amount: float, strength: float) -> None:
-    stroke = Stroke.grab((100, 80), by=(10, 10), radius=8, strength=strength)
-    d = Deformation.from_recipe(Recipe(strokes=(stroke, replace(stroke, at=(30, 30))), amount=amount), (120, 160))
-    np.testing.assert_allclose(d.forward((30, 30)), (40, 40), atol=0.01)
-    one = Deformation.from_recipe(Recipe(strokes=(stroke,), amount=amount), (120, 160))
-    np.testing.assert_allclose(one.forward((100, 80)), (110, 90), atol=0.01)
-
-
 def test_what_is_more_than_a_stroke_can_be_is_said() -> None:
     stroke = Stroke.grab((100, 60), by=(4, 0), radius=30, strength=2.0)
     with pytest.warns(FoldWarning, match="400% is more than a stroke can be: 200% is carried out"):

@@ -24,15 +24,10 @@ class TestRecipe:
         assert Recipe(strokes=(s for s in [grab()])).strokes == (grab(),)  # type: ignore[arg-type]
         assert hash(Recipe(border=None)) == hash(Recipe(border=None))
 
-    @pytest.mark.parametrize("bad", [0, -1, math.nan, math.inf, "none", True, [50]])
-    def test_refuses_borders(self, bad: Any) -> None:
-        assert refusal(lambda: Recipe(border=bad)).startswith("border must be ")
-
-    @pytest.mark.parametrize("bad", ["cubic", None, 1, "SINE", ["sine"]])
-    def test_refuses_other_names(self, bad: Any) -> None:
-        message = refusal(lambda: Recipe(border_profile=bad))
-        assert message.startswith('border_profile must be "quartic" or "sine", found ')
-        assert refusal(lambda: Recipe(on_fold=bad)).startswith('on_fold must be "damp" or "flow" or "error", found ')
+    def test_refuses_what_domains_refuse(self) -> None:
+        assert refusal(lambda: Recipe(border=-1)).startswith("border must be ")
+        assert refusal(lambda: Recipe(border_profile="SINE")).startswith("border_profile must be ")  # type: ignore[arg-type]
+        assert refusal(lambda: Recipe(on_fold="stop")).startswith("on_fold must be ")  # type: ignore[arg-type]
 
     @pytest.mark.parametrize("bad", [None, 5, [None], "ab", {"at": 1}, [grab(), (1, 2)]])
     def test_refuses_strokes(self, bad: Any) -> None:
@@ -213,10 +208,6 @@ class TestJson:
         text = "{" + ", ".join(f'"{key}": {item}' for key, item in entry.items()) + "}"
         assert read_refusal(text).startswith(f"{name}")
 
-    def test_mixed_dimensions(self) -> None:
-        solid = '{"brush": "grab", "at": [1, 2, 3], "by": [1, 2, 3], "radius": 1}'
-        assert read_refusal(with_stroke(solid)).startswith("strokes[1].at must be a point of 2 numbers")
-
     @pytest.mark.parametrize("token", ["NaN", "Infinity", "-Infinity"])
     def test_tokens_that_json_has_not(self, token: str) -> None:
         assert f"strict JSON, found {token}" in read_refusal(with_field("poisson", token))
@@ -233,17 +224,13 @@ class TestJson:
         assert message.startswith("a recipe must be JSON: ")
         assert place in message
 
-    @pytest.mark.parametrize("text", ["[]", "1", "null", '"supple"', "true", "9" * 5000, "[" * 50 + "]" * 50])
-    def test_not_an_object(self, text: str) -> None:
-        assert read_refusal(text).startswith("a recipe must be a JSON object, found ")
+    @pytest.mark.parametrize("text", ["[]", "1", "null", "9" * 5000, None, b"{}", {"supple": 1}])
+    def test_no_object_and_no_text(self, text: Any) -> None:
+        assert read_refusal(text).startswith("a recipe must be ")
 
     @pytest.mark.parametrize("text", ["[" * 200_000, '{"a":' * 200_000, "[" * 200_000 + "]" * 200_000])
     def test_deep_garbage(self, text: str) -> None:
         assert read_refusal(text) == "a recipe must be JSON: it is nested too deeply"
-
-    @pytest.mark.parametrize("text", [None, 1, b"{}", {"supple": 1}])
-    def test_not_text(self, text: Any) -> None:
-        assert read_refusal(text).startswith("a recipe must be text in JSON, found ")
 
     @given(
         st.recursive(

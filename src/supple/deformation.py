@@ -25,10 +25,22 @@ from supple.fields import Field, Placed, check_path, folds_of
 from supple.folding.limits import NEAR, farthest
 from supple.folding.resolved import FREE_ENOUGH, Resolved, apart, described, freedom_at, padded, spelled
 from supple.space.affine import Affine, matrix_rows
-from supple.space.checks import assign, choice, colours_hint, flag, integer, length, library_of, number, point, refuse
+from supple.space.checks import (
+    Vector,
+    assign,
+    choice,
+    colours_hint,
+    flag,
+    integer,
+    length,
+    library_of,
+    number,
+    point,
+    refuse,
+)
 from supple.space.domain import BorderProfile, Domain
 from supple.space.freezing import Freeze
-from supple.space.geometry import Grid
+from supple.space.geometry import Floats, Grid
 from supple.space.straighten import Straighten
 from supple.strokes import (
     LEAST,
@@ -47,8 +59,6 @@ _HIT = 1e-6  # samples: a point of a pull that is as near as this has arrived
 _APART = 0.3  # radii between the points by which a way is restored or smoothed, at least
 _LAST = "the straightening"  # of a picture
 _FREE, _TAKEN = -1, -2  # of a point that no later stroke carries away, or one on purpose
-
-Floats = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -120,9 +130,9 @@ class Arrival:
         away; None if none does, or if one does so on purpose (`MissWarning`).
     """
 
-    target: tuple[float, ...]
-    arrived: tuple[float, ...]
-    final: tuple[float, ...]
+    target: Vector
+    arrived: Vector
+    final: Vector
     miss: float
     moved: float
     cause: str | None
@@ -173,7 +183,7 @@ class Report:
 
     strokes: int
     applied: int
-    damping: tuple[float, ...]
+    damping: Vector
     arrivals: tuple[Arrival, ...]
     margin: float
     folds: int
@@ -465,12 +475,11 @@ class Deformation:
         if check and self.maps:
             led = [replace(each, inverse=not each.inverse) for each in self.maps] if inverse else reversed(self.maps)
             check_path(led, grid or source or self.grid)
-        own = self.grid if source is None else source
-        leans = own != self.grid
-        if leans:
+        own = source or self.grid
+        if leans := own != self.grid:
             plain = replace(plain, count=own.shape[0] if self.ndim == 3 else 1, shape=(own.shape[-2], own.shape[-1]))
-        if grid is None and not self.maps and not inverse and (not leans or self.is_identity):
-            return plain
+            if grid is None and self.is_identity:
+                return plain
         frame, done = _frame(self.grid), 0
         parts: list[_core.Part] = []
         for placed in self.maps:

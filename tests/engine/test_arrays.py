@@ -200,7 +200,7 @@ FRAMES: list[tuple[dict[str, Any], str]] = [
     ({"between": "quintic"}, "between must be"),
     ({"between": 1}, "between must be"),
     ({"filter": "nearest", "between": "linear"}, "between must be"),
-    ({"source": lambda p: p[:, 0]}, "three axes"),
+    ({"source": lambda p: p[:, 0]}, "dtype object"),
 ]
 PICTURES: list[tuple[dict[str, Any], str]] = [
     ({"time_filter": True}, "time_filter must be left out for an image"),

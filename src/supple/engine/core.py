@@ -14,8 +14,8 @@ from supple.engine.sampling import BETWEEN, FILTERS, OUTSIDE, Certificate, Sampl
 from supple.engine.work import Array, Space, Tell, Work, silent
 from supple.errors import SuppleError
 from supple.space.checks import refuse
+from supple.space.geometry import Floats
 
-Floats = npt.NDArray[np.float64]
 Box = tuple[int, int, int, int]
 
 CONVERGED = 1e-6

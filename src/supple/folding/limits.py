@@ -37,7 +37,6 @@ from supple.folding.resolved import (
     FREE_ENOUGH,
     MOST_SUBSTROKES,
     SQUEEZED,
-    Floats,
     Resolved,
     Table,
     all_the_way,
@@ -55,7 +54,9 @@ from supple.folding.resolved import (
     too_narrow,
 )
 from supple.folding.strain import CLEARLY_SAFE, GAP, MARGIN, largest, limit, sampled, weakest
+from supple.space.checks import Vector
 from supple.space.domain import Domain
+from supple.space.geometry import Floats
 from supple.strokes import FoldPolicy, Stroke, legs, matrix_of, pack, poisson_of, stretch_of
 
 NEAR = 0.5
@@ -278,7 +279,7 @@ def _narrowness(row: np.void) -> float:
     return math.hypot(1, half) - half
 
 
-def _arrived(stroke: Stroke, table: Table, domain: Domain) -> tuple[float, ...]:
+def _arrived(stroke: Stroke, table: Table, domain: Domain) -> Vector:
     """Return the position of the stroke's point after these rows, in samples."""
     return tuple((_moved(table, domain, padded(stroke.at, domain)[None])[0, : domain.ndim] / domain.spacing).tolist())
 
@@ -451,8 +452,8 @@ def _check_arrival(stroke: Stroke, domain: Domain, found: Floats, start: Floats,
 def _check_handles(stroke: Stroke, start: Floats, goal: Floats, domain: Domain, *, arrives: bool) -> None:
     """Refuse handles that cannot arrive: at one place, or on a fixed edge; with one target, if all is to arrive."""
     axes = domain.packed()
-    places: dict[tuple[float, ...], int] = {}
-    targets: dict[tuple[float, ...], int] = {}
+    places: dict[Vector, int] = {}
+    targets: dict[Vector, int] = {}
     first, last = axes[:, 0], axes[:, 1]
     fixed, beta = axes[:, 2] >= 0, beta_at(start, axes)
     for i, (a, b) in enumerate(zip(start, goal, strict=True)):

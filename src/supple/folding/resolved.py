@@ -15,9 +15,9 @@ from supple._core.rows import numbers
 from supple.engine.work import mask_of
 from supple.errors import OutsideWarning, argument, caller, current_spelling, numbered, shown
 from supple.space.domain import Domain, border_factor
+from supple.space.geometry import Floats
 from supple.strokes import Stroke
 
-Floats = npt.NDArray[np.float64]
 Table = npt.NDArray[np.void]
 
 MOST_SUBSTROKES = 10_000

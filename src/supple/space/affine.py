@@ -10,8 +10,7 @@ import numpy.typing as npt
 
 from supple.errors import SuppleError
 from supple.space.checks import refuse
-
-Floats = npt.NDArray[np.float64]
+from supple.space.geometry import Floats
 
 
 @dataclass(frozen=True, slots=True, eq=False, init=False)

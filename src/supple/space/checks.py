@@ -12,6 +12,10 @@ import numpy as np
 
 from supple.errors import SuppleError, argument, none
 
+Vector = tuple[float, ...]
+"""One number for each axis, x first."""
+Shape = tuple[int, ...]
+
 # Fields contain fifth powers of lengths, which neither overflow nor vanish in float64 within these bounds.
 SMALLEST = 1e-30
 LARGEST = 1e30
@@ -76,7 +80,7 @@ def integer(name: str, value: object, wanted: str, low: int, high: int) -> int:
     return checked
 
 
-def items(name: str, value: object, wanted: str, lengths: tuple[int, ...]) -> list[Any]:
+def items(name: str, value: object, wanted: str, lengths: Shape) -> list[Any]:
     """Return the items of a sequence or 1-D array with one of ``lengths``; SuppleError for other values."""
     if isinstance(value, np.ndarray) and value.ndim == 1:
         value = value.tolist()
@@ -99,7 +103,7 @@ def assign(frozen: object, **values: object) -> None:
         object.__setattr__(frozen, name, value)
 
 
-def point(name: str, value: object, lengths: tuple[int, ...] = (2, 3)) -> tuple[float, ...]:
+def point(name: str, value: object, lengths: Shape = (2, 3)) -> Vector:
     """Return ``value`` as the coordinates of a point; SuppleError for other values."""
     numbers = items(name, value, f"{' or '.join(map(str, lengths))} numbers, x first", lengths)
     wanted = f"a number from {-LARGEST:g} to {LARGEST:g}"
@@ -119,14 +123,14 @@ def flag(name: str, value: object) -> bool:
     return bool(value)
 
 
-def colours_hint(shape: tuple[int, ...]) -> str:
+def colours_hint(shape: Shape) -> str:
     """Return a hint for the message if the last of three axes may be colours."""
     if len(shape) != 3 or shape[2] not in (3, 4):
         return ""
     return f" (if the last axis of {shape} is colours, make the deformation with shape[:2])"
 
 
-def checked_shape(shape: object) -> tuple[int, ...]:
+def checked_shape(shape: object) -> Shape:
     """Return ``shape`` as two or three sizes; SuppleError for other values."""
     wanted = "two or three sizes, (H, W), (T, H, W) or (Z, H, W)"
     sizes = items("shape", shape, wanted, (2, 3))
@@ -134,7 +138,7 @@ def checked_shape(shape: object) -> tuple[int, ...]:
     return tuple(integer(f"shape[{i}]", size, within, 1, LONGEST_AXIS) for i, size in enumerate(sizes))
 
 
-def checked_spacing(spacing: object, ndim: int) -> tuple[float, ...]:
+def checked_spacing(spacing: object, ndim: int) -> Vector:
     """Return ``spacing`` as one length for each axis, x first; SuppleError for other values."""
     if isinstance(spacing, Real):
         return (length("spacing", spacing),) * ndim

@@ -14,6 +14,7 @@ from supple.space.checks import (
     LARGEST,
     LENGTH,
     SMALLEST,
+    Vector,
     assign,
     checked_shape,
     checked_spacing,
@@ -28,7 +29,7 @@ from supple.space.freezing import Freeze
 
 AUTO = 0.1  # the border's width for border="auto", as a fraction of each axis' extent
 
-Border = Literal["auto"] | float | tuple[float, ...] | None
+Border = Literal["auto"] | float | Vector | None
 BorderProfile = Literal["quartic", "sine"]
 PROFILE_CODES: dict[str, float] = {"quartic": 0.0, "sine": 1.0}
 """The codes of the border profiles in the packed domain."""
@@ -87,7 +88,7 @@ class Domain:
     """
 
     shape: tuple[int, ...]
-    spacing: tuple[float, ...]
+    spacing: Vector
     border: Border
     border_profile: BorderProfile
     time: bool
@@ -140,12 +141,12 @@ class Domain:
         )
 
     @property
-    def extent(self) -> tuple[float, ...]:
+    def extent(self) -> Vector:
         """The distance from face to face, in physical units, x first."""
         return tuple(last - first for first, last in self.faces)
 
     @property
-    def border_widths(self) -> tuple[float, ...] | None:
+    def border_widths(self) -> Vector | None:
         """The width of the fixed border along each axis, in physical units, x first; None if it is free."""
         if self.border is None:
             return None

@@ -14,9 +14,20 @@ import numpy as np
 import numpy.typing as npt
 
 from supple.errors import SuppleError, shown
-from supple.space.checks import LONGEST_AXIS, assign, checked_shape, integer, items, length, point, refuse
+from supple.space.checks import (
+    LONGEST_AXIS,
+    Shape,
+    Vector,
+    assign,
+    checked_shape,
+    integer,
+    items,
+    length,
+    point,
+    refuse,
+)
+from supple.space.geometry import Floats
 
-Floats = npt.NDArray[np.float64]
 Rows = npt.NDArray[np.float32]
 Lattice = tuple[int, float, float]  # coefficients along an axis, the position of the first, and the step
 
@@ -62,12 +73,12 @@ class Freeze:
         If they do not fit together.
     """
 
-    samples: tuple[int, ...]
-    size: tuple[int, ...]
-    first: tuple[float, ...]
-    step: tuple[float, ...]
+    samples: Shape
+    size: Shape
+    first: Vector
+    step: Vector
     values: bytes = field(repr=False)
-    place: tuple[float, ...] = ()
+    place: Vector = ()
     name: str = field(default="", compare=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -205,7 +216,7 @@ class Freeze:
         return replace(self, values=bytes([_FREE]) * len(self.values))
 
     @property
-    def middle(self) -> tuple[float, ...]:
+    def middle(self) -> Vector:
         """The middle of what is frozen, in samples, x first; of all if nothing is."""
         held = 1.0 - self.coefficients / _FREE if not self.is_free else np.ones(self.coefficients.shape)
         found = []
@@ -390,7 +401,7 @@ class Freeze:
         return cls(**{**entry, "values": values})
 
 
-def _apart(shape: Sequence[int], spacing: Sequence[float], width: float | None, of: str = "") -> tuple[float, ...]:
+def _apart(shape: Sequence[int], spacing: Sequence[float], width: float | None, of: str = "") -> Vector:
     """Return the samples from one coefficient to the next for a width of the fade, or for the usual one."""
     least = _SHORTEST * min(spacing)
     if width is None:

@@ -12,7 +12,18 @@ import numpy as np
 import numpy.typing as npt
 
 from supple.errors import SuppleError
-from supple.space.checks import assign, checked_shape, checked_spacing, choice, integer, items, point, refuse
+from supple.space.checks import (
+    Shape,
+    Vector,
+    assign,
+    checked_shape,
+    checked_spacing,
+    choice,
+    integer,
+    items,
+    point,
+    refuse,
+)
 
 Floats = npt.NDArray[np.float64]
 
@@ -139,14 +150,14 @@ class Grid:
         Its columns are the directions of the axes: of unit length. By default, those of space.
     """
 
-    shape: tuple[int, ...]
-    spacing: tuple[float, ...]
-    origin: tuple[float, ...]
-    direction: tuple[tuple[float, ...], ...]
+    shape: Shape
+    spacing: Vector
+    origin: Vector
+    direction: tuple[Vector, ...]
     # Of a part of a grid: the index of its first sample in the whole, and the shape and the origin of that.
-    first: tuple[int, ...] = field(repr=False)
-    whole: tuple[int, ...] = field(repr=False)
-    start: tuple[float, ...] = field(repr=False)
+    first: Shape = field(repr=False)
+    whole: Shape = field(repr=False)
+    start: Vector = field(repr=False)
 
     def __init__(
         self,
@@ -172,7 +183,7 @@ class Grid:
         return len(self.shape)
 
     @property
-    def sizes(self) -> tuple[int, ...]:
+    def sizes(self) -> Shape:
         """The number of samples along each axis, x first."""
         return self.shape[::-1]
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 from supple.errors import SuppleError
-from supple.space.checks import LARGEST, LONGEST_AXIS, assign, integer, listed, number, point, refuse
+from supple.space.checks import LARGEST, LONGEST_AXIS, Vector, assign, integer, listed, number, point, refuse
 
 _PARTS = {
     "strength": ("a number from 0 to 1", 0.0, 1.0),
@@ -36,7 +36,7 @@ class Key:
     """
 
     frame: int
-    at: tuple[float, ...] | None = None
+    at: Vector | None = None
     strength: float | None = None
     angle: float | None = None
     scale: float | None = None
@@ -65,7 +65,7 @@ def checked_keys(given: object, ndim: int) -> tuple[Key, ...]:
     return keys
 
 
-def position(keys: Sequence[Key], frame: float) -> tuple[float, ...] | None:
+def position(keys: Sequence[Key], frame: float) -> Vector | None:
     """Return the position in a frame; None if no key has any."""
     known = [(key.frame, key.at) for key in keys if key.at is not None]
     if not known:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, fields, replace
 from typing import Any, Literal, Self, get_args
 
 from supple.errors import ScaleWarning, SuppleError, argument
-from supple.space.checks import LONGEST_AXIS, assign, choice, integer, items, length, listed, number, refuse
+from supple.space.checks import LONGEST_AXIS, Shape, assign, choice, integer, items, length, listed, number, refuse
 from supple.space.domain import Border, BorderProfile, check_border_profile, checked_border
 from supple.space.freezing import Freeze
 from supple.space.straighten import Straighten
@@ -56,7 +56,7 @@ class Recipe:
     border_profile: BorderProfile = "quartic"
     on_fold: FoldPolicy = "flow"
     strokes: tuple[Stroke, ...] = ()
-    size: tuple[int, ...] | None = None
+    size: Shape | None = None
     space: CoordinateSpace | None = None
     amount: float = 1.0
     time_scale: float | None = None
@@ -159,7 +159,7 @@ class Recipe:
             return replace(self, size=tuple(size)) if len(offset) == len(self.size or ()) else self
         return self._scaled(Scaling((1.0,) * len(offset), tuple(map(float, offset)), 1.0), tuple(size))
 
-    def _scaled(self, scaling: Scaling | None, size: tuple[int, ...]) -> Self:
+    def _scaled(self, scaling: Scaling | None, size: Shape) -> Self:
         def masked(freeze: Freeze | None) -> Freeze | None:
             if freeze is None or self.size is None or freeze.samples[: len(self.size)] != self.size[: freeze.ndim]:
                 return freeze  # it is the medium's, or refused
@@ -225,7 +225,7 @@ def fit_recipe(recipe: Recipe, size: Sequence[int], how: Fit | None, name: str, 
     return made
 
 
-def _checked_size(size: object, ndim: int | None) -> tuple[int, ...]:
+def _checked_size(size: object, ndim: int | None) -> Shape:
     lengths = (2, 3) if ndim is None else (ndim,)
     sizes = items("size", size, f"{' or '.join(map(str, lengths))} numbers of samples, x first", lengths)
     wanted = f"a whole number from 1 to {LONGEST_AXIS}"

@@ -486,18 +486,12 @@ class Stroke:
     def is_image(self, other: Stroke) -> bool:
         """Return whether another stroke is the mirror image of this one, about what lies midway between them."""
         across = np.subtract(other.at, self.at)
-        if (other.brush, other.radius) != (self.brush, self.radius) or not across.any():
-            return False
-        if self.matte is not None and np.count_nonzero(across) > 1:
+        if not across.any() or (self.matte is not None and np.count_nonzero(across) > 1):
             return False
         image = self.mirrored(np.add(self.at, other.at) / 2, across)
-        near = 1e-6 * self.radius
-        places, others = ([each.by, *each.path] for each in (image, other))
-        return (
-            len(places) == len(others)
-            and np.allclose(places, others, rtol=0, atol=near)
-            and (image == replace(other, at=image.at, by=image.by, path=image.path, axis=image.axis))
-        )
+        ways, others = ([each.by, *each.path] for each in (image, other))
+        alike = image == replace(other, at=image.at, by=image.by, path=image.path, axis=image.axis)
+        return alike and np.allclose(ways, others, rtol=0, atol=1e-6 * self.radius)
 
     def symmetric(self, at: Point, normal: Point) -> tuple[Self, ...]:
         """Return the strokes that make this one symmetric about a line or a plane.
