@@ -296,20 +296,20 @@ class Deformation:
         freeze: npt.ArrayLike | Freeze | None = None,
     ) -> None:
         choice("on_fold", on_fold, ("damp", "flow", "error"))
-        if isinstance(shape, Grid):
+        own = shape if isinstance(shape, Grid) else None
+        if own is not None:
             if spacing != 1.0:
                 refuse("spacing", "left out beside a grid, which has one", spacing)
-            grid, spacing = shape, shape.spacing
+            if own.shear:
+                refuse("shape", "a grid whose axes are at right angles (Grid.upright makes one)", shape)
+            spacing = own.spacing
         sizes = shape.shape if isinstance(shape, Grid) else shape
         if freeze is not None and not isinstance(freeze, Freeze):
             freeze = _freeze_of(freeze, Domain(sizes, spacing, time=time))
         domain = Domain(sizes, spacing, border, border_profile, time, freeze)
-        if not isinstance(shape, Grid):
-            grid = Grid(domain.shape, domain.spacing)
-        elif grid.shear:
-            refuse("shape", "a grid whose axes are at right angles (Grid.upright makes one)", shape)
-        elif isinstance(freeze, Freeze) and freeze.place:
-            _check_place(freeze, grid)
+        if own is not None and freeze is not None and freeze.place:
+            _check_place(freeze, own)
+        grid = own or Grid(domain.shape, domain.spacing)
         axes = domain.packed()
         if domain.ndim == 2:
             axes[2, 2] = 0.0  # nothing leaves the plane of an image, so that the field off it does not matter

@@ -173,8 +173,5 @@ def narrowest(table: Table, domain: Domain, starts: Floats, drags: Floats) -> fl
     _, jacobian = _core.forward(numbers(table), axes, np.ascontiguousarray(points.T), True, mask_of(domain))
     if not np.isfinite(jacobian).all():
         return 0.0
-    if axes[2, 1] == axes[2, 0] and axes[2, 2] < 0:  # for an image, only the plane counts
-        (a, b), (c, d) = jacobian[:, :2, :2].transpose(1, 2, 0)
-        widest = 0.5 * (np.hypot(a + d, b - c) + np.hypot(a - d, b + c))
-        return float((np.abs(a * d - b * c) / np.maximum(widest, 1e-300)).min())
-    return float(np.linalg.svd(jacobian, compute_uv=False).min())
+    n = 2 if axes[2, 1] == axes[2, 0] and axes[2, 2] < 0 else 3  # for an image, only the plane counts
+    return float(np.linalg.svd(jacobian[:, :n, :n], compute_uv=False).min())

@@ -239,13 +239,9 @@ class Stroke:
         start = point("at", at)
         if len(path) and to is None and by is None:
             *path, to = path
-        if by is not None and to is None:
-            drag = point("by", by, (len(start),))
-        elif to is not None and by is None:
-            end = point("to", to, (len(start),))
-            drag = tuple(b - a for a, b in zip(start, end, strict=True))
-        else:
-            raise SuppleError(f"a grab takes one of to and by, found {'neither' if to is None else 'both'}")
+        _check_ends("grab", to, by)
+        end = point("by" if to is None else "to", by if to is None else to, (len(start),))
+        drag = end if to is None else tuple(b - a for a, b in zip(start, end, strict=True))
         known: dict[str, Any] = {"path": path, "poisson": poisson, "scales": scales, "flat": flat, **options}
         return cls(at=start, by=drag, radius=radius, **known)
 
@@ -369,8 +365,7 @@ class Stroke:
                [250., 250.]])
         """
         start, stay = _points("points", points), _points("pins", pins)
-        if (to is None) == (by is None):
-            raise SuppleError(f"a pull takes one of to and by, found {'neither' if to is None else 'both'}")
+        _check_ends("pull", to, by)
         which = "by" if to is None else "to"
         given = _points(which, by if to is None else to)
         if given.shape != start.shape:
@@ -673,6 +668,11 @@ def _turns(ways: dict[int, complex], begin: float) -> tuple[dict[int, complex], 
     degrees = np.rad2deg(np.unwrap(np.angle(list(turns.values()))))
     degrees -= 360 * np.round(np.interp(begin, list(turns), degrees) / 360)
     return turns, dict(zip(turns, degrees.tolist(), strict=True))
+
+
+def _check_ends(what: str, to: object, by: object) -> None:
+    if (to is None) == (by is None):
+        raise SuppleError(f"a {what} takes one of to and by, found {'neither' if to is None else 'both'}")
 
 
 def _points(name: str, values: object) -> npt.NDArray[np.float64]:
