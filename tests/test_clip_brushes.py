@@ -215,14 +215,6 @@ def test_plateaus_move_all_within_alike_and_nothing_beyond_the_reach() -> None:
         assert report.unconverged == 0
 
 
-def test_limits_of_plateaus_are_near_those_without() -> None:
-    plain = limit(0.4, 1, 4.0)
-    found = [limit(0.4, 1, 4.0, flat) / plain for flat in (0.1, 0.5, 0.9)]
-    assert found == sorted(found, reverse=True)
-    assert found[1] > 0.8
-    assert found[2] > 0.6
-
-
 OLD = [
     '{"brush": "grab", "at": [30, 20, 15], "by": [6, 3, 4], "radius": 12}',
     '{"brush": "grab", "at": [30, 20, 15], "by": [6, 3, 0], "radius": 12, "scales": 2}',
@@ -284,13 +276,3 @@ def test_recipes_hold_the_radius_in_time_and_plateaus() -> None:
 def test_what_does_not_fit_is_refused(call: Any, message: str) -> None:
     with pytest.raises(SuppleError, match=message):
         call()
-
-
-def test_a_short_brush_leaves_the_ends_of_a_clip_alone() -> None:
-    frames = np.random.default_rng(0).integers(0, 256, (40, 30, 50), np.uint8)
-    d = Deformation(frames.shape, time=True).grab((25, 15, 20), by=(4, 2, 0), radius=30)
-    out = d.warp(frames)
-    assert (out[15:25] != frames[15:25]).any(axis=(1, 2)).all()
-    shorter = d.without_strokes().grab((25, 15, 20), by=(4, 2, 3), radius=30, time_radius=3, reach=3)
-    out = shorter.warp(frames)
-    np.testing.assert_array_equal(out[[*range(12), *range(32, 40)]], frames[[*range(12), *range(32, 40)]])

@@ -16,7 +16,6 @@ from supple import (
     Arrival,
     Deformation,
     FoldError,
-    FoldWarning,
     MissWarning,
     OutsideWarning,
     Recipe,
@@ -65,18 +64,6 @@ def test_deformations_with_the_same_parts_are_equal() -> None:
 def test_deformations_that_differ_in_a_part_are_not(other: Callable[[], Deformation]) -> None:
     assert made() != other()
     assert len({made(), other()}) == 2
-
-
-def test_time_is_a_part() -> None:
-    clip, solid = (Deformation((12, 40, 48), time=time).add(SOLID) for time in (True, False))
-    assert clip != solid
-    assert clip == Deformation((12, 40, 48), time=True).add(SOLID)
-
-
-def test_others_are_never_equal() -> None:
-    assert made() != made().recipe
-    assert made() != (40, 48)
-    assert made().__eq__(1) is NotImplemented
 
 
 def test_one_arrival_is_that_of_all() -> None:
@@ -128,22 +115,6 @@ def test_causes_of_a_miss_are_those_of_the_docstring() -> None:
         assert f'"{cause}"' in " ".join((Arrival.__doc__ or "").split())
         with pytest.raises(FoldError, match=r"let go|holds it back"):
             Deformation((100, 100), freeze=mask, on_fold="error").add(stroke)
-
-
-def test_warnings_of_a_pull_are_those_of_the_docstring() -> None:
-    mask = np.zeros((100, 100), bool)
-    mask[:, :40] = True
-    d = Deformation((100, 100), freeze=mask, border=None, on_fold="damp")
-    told = (Deformation.pull.__doc__ or "").partition("Warns")[2].partition("Examples")[0]
-    for points, by, category in (
-        ([(130, 50), (70, 50)], [(5, 0), (5, 0)], OutsideWarning),
-        ([(70, 50), (75, 50)], [(12, 0), (-10, 0)], FoldWarning),
-        ([(20, 50), (70, 50)], [(5, 0), (5, 0)], MissWarning),
-    ):
-        with pytest.warns(category) as found:
-            d.pull(points, by=by, radius=15)
-        assert [warning.category for warning in found] == [category]
-        assert category.__name__ in told
 
 
 def test_a_stroke_that_reaches_nothing_is_refused() -> None:

@@ -243,18 +243,6 @@ def test_shapes_are_kept(shape: tuple[int, ...], ndim: int, moved: bool) -> None
     assert (points == 12).all()
 
 
-def test_many_points_are_as_few() -> None:
-    """Batches and threads make no difference."""
-    d = deep_sequence()
-    q = reference.grid(SHAPE).reshape(-1, 2)
-    whole = d.inverse(q)
-    parts = [d.inverse(q[i : i + 997]) for i in range(0, len(q), 997)]
-    np.testing.assert_allclose(np.concatenate([p.points for p in parts]), whole.points, rtol=0, atol=1e-7)
-    np.testing.assert_array_equal(np.concatenate([p.converged for p in parts]), whole.converged)
-    again = d.inverse(q)
-    np.testing.assert_array_equal(again.points, whole.points)
-
-
 def test_points_of_any_kind() -> None:
     d = damped()
     expected = d.inverse(np.array([[12.0, 40.0], [7.0, 3.0]])).points

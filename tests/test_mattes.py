@@ -287,15 +287,6 @@ def test_mattes_that_do_not_fit_are_refused() -> None:
         Freeze.of([1.0], matte=True)
 
 
-def test_torch_refuses_mattes() -> None:
-    torch = pytest.importorskip("torch")
-    import supple.torch
-
-    d = Deformation(SHAPE).add(replace(GRAB, matte=Freeze.of(half(), matte=True)))
-    with pytest.raises(SuppleError, match="strokes have mattes, which PyTorch does not take"):
-        supple.torch.forward(torch.zeros(1, 2), d)
-
-
 def test_a_matte_that_moves_fits_frames_of_another_size() -> None:
     recipe = Recipe(strokes=(replace(GRAB, matte=walker()),), size=(80, 60))
     twice = recipe.fitted((160, 120)).at_frame(5)

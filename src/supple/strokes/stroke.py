@@ -160,7 +160,9 @@ class Stroke:
                 (point(f"also[{i}] point", p, one), point(f"also[{i}] drag", v, one)) for i, (p, v) in enumerate(pairs)
             ),
             "path": tuple(point(f"path[{i}]", p, one) for i, p in enumerate(listed("path", self.path, "points"))),
-            "angle": _number("angle", self.angle, f"degrees from {-degrees:g} to {degrees:g}", -degrees, degrees),
+            "angle": _number(
+                "angle", self.angle, f"a number of degrees from {-degrees:g} to {degrees:g}", -degrees, degrees
+            ),
             "factor": _number("factor", self.factor, factor, 1 / LARGEST_FACTOR, LARGEST_FACTOR),
             "axis": None if self.axis is None else point("axis", self.axis, one),
             "chord": flag("chord", self.chord),

@@ -176,16 +176,12 @@ def legs(stroke: Stroke, spacing: Sequence[float]) -> tuple[Stroke, ...]:
     points = np.array([stroke.at, *stroke.path, end])
     places = points * spacing
     length = float(np.linalg.norm(np.diff(places, axis=0), axis=1).sum())
-    tolerance, kept = 0.05 * stroke.radius, [0, len(points) - 1]
-    while True:
-        kept = [0, *_corners(places, 0, len(points) - 1, tolerance), len(points) - 1]
-        if len(kept) - 1 <= 4 * max(1.0, length / stroke.radius):
-            break
+    tolerance, last = 0.05 * stroke.radius, len(points) - 1
+    while len(kept := [0, *_corners(places, 0, last, tolerance), last]) - 1 > 4 * max(1.0, length / stroke.radius):
         tolerance *= 2
-    ways = pairwise(kept)
     return tuple(
         replace(stroke, at=tuple(points[i].tolist()), by=tuple((points[j] - points[i]).tolist()), path=())
-        for i, j in ways
+        for i, j in pairwise(kept)
     )
 
 
