@@ -54,7 +54,7 @@ def test_a_shape_with_colours_is_told(channels: int) -> None:
     assert "colours" not in str(caught.value)
 
 
-@pytest.mark.parametrize("option", [{"samples": 3}, {"between": "cubic"}, {"time_filter": True}])
+@pytest.mark.parametrize("option", [{"between": "cubic"}, {"time_filter": True}])
 def test_what_an_array_does_not_take_is_refused(option: dict[str, object]) -> None:
     (name,) = option
     with pytest.raises(supple.SuppleError, match=rf"^{name} must be left out for an"):

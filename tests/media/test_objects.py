@@ -215,7 +215,7 @@ REFUSED: dict[str, tuple[Callable[[], object], str]] = {
         r"found a label map: SimpleITK.LabelMapToLabel\(image\)",
     ),
     "no affine": (lambda: supple.grid_of(nibabel.Nifti1Image(smooth().T, None)), "must have an affine"),
-    "a list": (lambda: bent(IMAGE).warp([IMAGE]), "source must be an array, found an image of SimpleITK"),
+    "a list": (lambda: bent(IMAGE).warp([IMAGE]), "source must be an array, found one of SimpleITK"),
     "a clip": (lambda: Deformation(SHAPE, time=True).warp(IMAGE), "the image is of shape"),
     "no transform": (lambda: supple.read_maps(IMAGE), "path must be the name of a file, or a transform of SimpleITK"),
     "velocities": (

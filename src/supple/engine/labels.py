@@ -55,7 +55,7 @@ def sample(
                 for c, value in enumerate(some):
                     fill = value if own.outside == "constant" else None
                     part = held[depth, rows, columns, c]
-                    out[(*to, c)] = _shared(tile, sampling, part, (read[0], read[2], read[4]), fill)
+                    out[..., c][tuple(to)] = _shared(tile, sampling, part, (read[0], read[2], read[4]), fill)
         tell("warp", first[0] + sizes[0], planes)
     return certificate
 

@@ -483,7 +483,8 @@ class Stroke:
     def is_image(self, other: Stroke) -> bool:
         """Return whether another stroke is the mirror image of this one, about what lies midway between them."""
         across = np.subtract(other.at, self.at)
-        if not across.any() or (self.matte is not None and np.count_nonzero(across) > 1):
+        slants = self.matte is not None and np.count_nonzero(across) > 1
+        if other.brush != self.brush or not across.any() or slants:
             return False
         image = self.mirrored(np.add(self.at, other.at) / 2, across)
         ways, others = ([each.by, *each.path] for each in (image, other))
