@@ -159,7 +159,9 @@ class Stroke:
             "also": tuple(
                 (point(f"also[{i}] point", p, one), point(f"also[{i}] drag", v, one)) for i, (p, v) in enumerate(pairs)
             ),
-            "path": tuple(point(f"path[{i}]", p, one) for i, p in enumerate(listed("path", self.path, "points"))),
+            "path": tuple(
+                point(f"path[{i}]", p, one) for i, p in enumerate(listed("path", self.path, "a sequence of points"))
+            ),
             "angle": _number(
                 "angle", self.angle, f"a number of degrees from {-degrees:g} to {degrees:g}", -degrees, degrees
             ),
