@@ -100,7 +100,7 @@ def log_jacobian(values: Array, grid: Grid) -> npt.NDArray[np.float32]:
     """
     made = np.empty(grid.shape, np.float32)
     for k in range(len(values)):
-        found = _determinant([(behind + ahead) / 2 for behind, ahead in _steps(values, k)], grid)
+        found = _determinant([(ahead + behind) / 2 for ahead, behind in _steps(values, k)], grid)
         with np.errstate(divide="ignore", invalid="ignore"):
             made[k] = np.where(found > 0, np.log(found), np.nan)
     return made
@@ -193,23 +193,23 @@ def planes(grid: Grid, inwards: float = 0.0) -> Iterator[tuple[Floats, Floats]]:
 
 
 def _steps(values: Array, k: int) -> list[tuple[Floats, Floats]]:
-    """Return differences of plane k to the samples behind and ahead along each axis, x first; at an end, to the one."""
+    """Return differences of plane k to the samples ahead and behind along each axis, x first; at an end, to the one."""
     near = values[max(k - 1, 0) : k + 2].astype(np.float64)
     here, made = near[min(k, 1)], []
     for axis in reversed(range(here.ndim - 1)):
         steps, index = np.diff(here, axis=axis), np.arange(here.shape[axis])
         none = np.zeros_like(here)  # of an axis of one sample
         behind, ahead = np.maximum(index - 1, 0), np.minimum(index, len(index) - 2)
-        made.append((steps.take(behind, axis), steps.take(ahead, axis)) if len(index) > 1 else (none, none))
+        made.append((steps.take(ahead, axis), steps.take(behind, axis)) if len(index) > 1 else (none, none))
     steps = np.diff(near, axis=0) if len(near) > 1 else np.zeros_like(near)
-    return [*made, (steps[0], steps[-1])]
+    return [*made, (steps[-1], steps[0])]
 
 
 def _determinant(steps: Sequence[Floats], grid: Grid) -> Floats:
     """Return det(I + ∂u/∂x) from the differences of u from sample to sample along each axis, x first."""
     matrix = grid.matrix[:-1, :-1]
     a, b, *c = (step + matrix[:, axis] for axis, step in enumerate(steps))
-    whole = (np.cross(a, b) * c[0]).sum(axis=-1) if c else a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
+    whole = (a * np.cross(b, c[0])).sum(axis=-1) if c else a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
     return np.asarray(whole / float(np.linalg.det(matrix)))
 
 
