@@ -298,7 +298,8 @@ def _flow(stroke: Stroke, domain: Domain, table: Table) -> Resolved:
         if beyond.any() or np.any(across & (beta < 1e-100)):
             where = "it starts on the edge, and"
             if beyond.any():
-                where = "its target is on the edge or outside, and"
+                ends = ((axes[:, :2] / axes[:, 3:4])[: domain.ndim]).T.round().astype(int).tolist()
+                where = f"its target is on the edge or outside of {located(ends[0])} to {located(ends[1])}, and"
             raise SuppleError(
                 f"{described(stroke)} cannot arrive: {where} the border is fixed, so that what is on it only slides "
                 f"along it, and nothing else gets there; use {argument('border', None)}, or points further in"
