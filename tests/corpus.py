@@ -77,7 +77,6 @@ def arrays() -> Iterator[tuple[str, Callable[[], Any]]]:
     yield "image without alpha", lambda: bent(60, 83).warp(photo, alpha=False)
     yield "image clamp", lambda: bent(60, 83).warp(noise(60, 83, dtype="float32"), clamp=True)
     yield "image sine", lambda: bent(60, 83, border=12, border_profile="sine", on_fold="damp").warp(photo)
-    yield "function", lambda: bent(60, 83).warp(lambda p: 0.01 * p * p, samples=2)
     yield "batch", lambda: np.stack(supple.warp_batch([photo, photo[::-1]], [bent(60, 83), bent(60, 83, border=9)]))
     clip = noise(7, 40, 50, 3)
     for between in ("linear", "cubic", "nearest"):

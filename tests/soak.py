@@ -18,9 +18,6 @@ if __name__ == "__main__":
 
 from supple import Deformation, FoldWarning, SuppleError, ToleranceWarning, _core
 from supple._core.rows import numbers
-from supple.engine.sampling import Sampling
-from supple.engine.stream import make_plan, stream
-from supple.engine.work import Array, Group, Layout, Work
 from supple.strokes import Stroke
 
 Floats = npt.NDArray[np.float64]
@@ -70,8 +67,6 @@ class Tally:
     beyond: int = 0
     reported_pixels: int = 0
     worst_error: float = 0.0
-    frames: int = 0
-    worst_frame: float = 0.0
     violations: list[str] = field(default_factory=list)
 
     def lines(self) -> list[str]:
@@ -291,54 +286,6 @@ def look_at_map(d: Deformation, rng: np.random.Generator, tally: Tally) -> list[
     return wrong
 
 
-@dataclass(frozen=True)
-class Coordinates:
-    """A frame whose samples say where they lie: what is seen of it tells where it was seen."""
-
-    layout: Layout
-    k: int
-
-    def copy_to(self, arrays: list[Array]) -> None:
-        for group, held in zip(self.layout.groups, arrays, strict=True):
-            rows, columns = np.indices(group.shape)
-            held[..., 0] = group.offset[0] + group.step[0] * columns
-            held[..., 1] = group.offset[1] + group.step[1] * rows
-            held[..., 2] = self.k
-
-
-def look_at_clip(d: Deformation, rng: np.random.Generator, tally: Tally) -> list[str]:
-    """Whether frames that stream through show what they should, as exactly as is said; chroma, too."""
-    wrong = []
-    count, height, width = d.shape
-    # Sited at pixels: between those that are solved one by one, the certificate does not look.
-    step, offset = [((1, 1), (0.0, 0.0)), ((2, 1), (0.0, 0.0)), ((2, 2), (0.0, 0.0))][rng.integers(3)]
-    groups = [Group((height, width), 3)]
-    if step != (1, 1):
-        groups.append(Group((-(-height // step[1]), -(-width // step[0])), 3, step, offset))
-    layout = Layout(tuple(groups), np.dtype(np.float64), 1.0)
-    sampling = Sampling("linear", tolerance=float(rng.choice([0.1, 0.01])))
-    planes = sorted(rng.choice(count, min(count, 5), replace=False).tolist())
-    plan = make_plan(Work(d.space, layout, sampling), planes)
-    frames = (Coordinates(layout, k) for k in range(count))
-    for z, arrays, certificate in stream(Work(d.space, layout, sampling), plan, frames):
-        tally.frames += 1
-        for group, seen in zip(groups, arrays, strict=True):
-            start, steps = np.array([*group.offset, 0.0]), np.array([*group.step, 1.0])
-            last = start + steps * ([group.shape[1] - 1, group.shape[0] - 1, count - 1])
-            q = np.empty((*group.shape, 3))
-            Coordinates(layout, z).copy_to([q if g is group else np.empty((*g.shape, 3)) for g in groups])
-            true = d.inverse(q)
-            off = np.linalg.norm(seen - np.clip(true.points, start, last), axis=-1)[true.converged]
-            worst = float(off.max(initial=0.0))
-            # Where a sample lies is rounded to float32, and told apart no better by Newton's method.
-            if not worst <= max(sampling.tolerance, certificate.error) + 1e-3:
-                said = f"{certificate.error:.3g} was said, at {sampling.tolerance:g}"
-                wrong.append(f"plane {z} of {step} at {offset} is off by {worst:.3g} px, but {said}")
-            elif certificate.error <= sampling.tolerance:
-                tally.worst_frame = max(tally.worst_frame, worst / sampling.tolerance)
-    return wrong
-
-
 def look_at_recipe(rng: np.random.Generator, tally: Tally, work: float) -> list[str]:
     """What is wrong with the next recipe, which gets about ``work`` points times strokes."""
     tally.recipes += 1
@@ -349,8 +296,6 @@ def look_at_recipe(rng: np.random.Generator, tally: Tally, work: float) -> list[
     wrong = look_at_points(d, rng, tally)
     if math.prod(d.shape) * max(1, len(d.space.table) // 20) <= MOST_PIXELS:
         wrong += look_at_map(d, rng, tally)
-    if d.ndim == 3 and math.prod(d.shape[1:]) * len(d.space.table) <= 10 * MOST_PIXELS:
-        wrong += look_at_clip(d, rng, tally)
     wrong += look_at_many(d, rng, tally, int(work / max(len(d.space.table), 1)))
     return [f"{line} ({d.on_fold}, {len(d.strokes)} strokes)" for line in wrong]
 

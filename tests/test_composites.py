@@ -97,6 +97,18 @@ def picture(rng: Rng, shape: tuple[int, ...], dtype: str) -> npt.NDArray[Any]:
     return noise.astype(dtype)
 
 
+def same_in_parts(rng: Rng, made: Deformation, image: Any, grid: Grid, count: int, **options: Any) -> None:
+    """Check that random parts of a grid are those of the whole, bit for bit."""
+    whole = made.warp(image, grid=grid, **options)
+    for _ in range(count):
+        first = [int(rng.integers(0, size)) for size in grid.sizes]
+        sizes = [int(rng.integers(1, size - a + 1)) for a, size in zip(first, grid.sizes, strict=True)]
+        part = made.warp(image, grid=grid.crop(first, sizes), **options)
+        box = tuple(slice(a, a + b) for a, b in zip(first[::-1], sizes[::-1], strict=True))
+        assert part.shape == whole[box].shape
+        assert part.tobytes() == np.ascontiguousarray(whole[box]).tobytes(), (first, sizes)
+
+
 seeds = st.integers(0, 2**32 - 1)
 axes = st.sampled_from([2, 2, 3])
 
@@ -236,14 +248,7 @@ def test_parts_of_grids_are_parts_of_the_whole(
     if n == 3 and filter_ != "nearest":
         options |= {"time_filter": time_filter, "between": str(rng.choice(["linear", "cubic"]))}
     grid = random_grid(rng, made) if other else made.grid
-    whole = made.warp(image, grid=grid, **options)
-    for _ in range(3):
-        first = [int(rng.integers(0, size)) for size in grid.sizes]
-        sizes = [int(rng.integers(1, size - a + 1)) for a, size in zip(first, grid.sizes, strict=True)]
-        part = made.warp(image, grid=grid.crop(first, sizes), **options)
-        box = tuple(slice(a, a + b) for a, b in zip(first[::-1], sizes[::-1], strict=True))
-        assert part.shape == whole[box].shape
-        assert part.tobytes() == np.ascontiguousarray(whole[box]).tobytes(), (first, sizes)
+    same_in_parts(rng, made, image, grid, 3, **options)
 
 
 def test_a_plane_that_hardly_moves_is_the_same_in_a_part() -> None:
@@ -295,12 +300,7 @@ def test_parts_of_maps_that_shrink_or_enlarge_much(shape: tuple[int, ...], scale
     matrix[:n, n] = middle - middle / scale
     made = Deformation(shape, border=None).affine(matrix).grab((middle + 3).tolist(), by=[2.0] * n, radius=8)
     image = rng.integers(0, 255, (*shape, 3)).astype(np.uint8)
-    whole = made.warp(image)
-    for _ in range(8):
-        first = [int(rng.integers(0, size)) for size in shape[::-1]]
-        sizes = [int(rng.integers(1, size - a + 1)) for a, size in zip(first, shape[::-1], strict=True)]
-        box = tuple(slice(a, a + b) for a, b in zip(first[::-1], sizes[::-1], strict=True))
-        np.testing.assert_array_equal(made.warp(image, grid=made.grid.crop(first, sizes)), whole[box])
+    same_in_parts(rng, made, image, made.grid, 8)
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (1, 40), (40, 1), (1, 1, 1), (1, 1, 9), (1, 9, 1), (9, 1, 1), (2, 1, 33)])
@@ -360,13 +360,7 @@ def test_parts_of_rough_maps_on_other_grids(seed: int, spacing: float, n: int) -
     made = Deformation(shape, border=None).grab([30.0] * (n - 1) + [9.0], by=[4.0] * n, radius=9, reach=20)
     made = made.field(Field(values, Grid(values.shape[:-1], 8.0, [-8.0] * n), "cubic", "edge"))
     image = rng.normal(size=shape).astype(np.float32)
-    grid = made.grid.resampled(spacing)
-    whole = made.warp(image, grid=grid, outside="reflect")
-    for _ in range(12):
-        first = [int(rng.integers(0, size)) for size in grid.sizes]
-        sizes = [int(rng.integers(1, size - a + 1)) for a, size in zip(first, grid.sizes, strict=True)]
-        box = tuple(slice(a, a + b) for a, b in zip(first[::-1], sizes[::-1], strict=True))
-        np.testing.assert_array_equal(made.warp(image, grid=grid.crop(first, sizes), outside="reflect"), whole[box])
+    same_in_parts(rng, made, image, made.grid.resampled(spacing), 12, outside="reflect")
 
 
 def test_a_part_of_a_part_knows_the_whole() -> None:

@@ -137,11 +137,6 @@ def test_the_limit_of_a_single_scale(poisson: float, value: float) -> None:
     assert limit(poisson, 1) == pytest.approx(value, abs=5e-5)
 
 
-@pytest.mark.parametrize(("reach", "value"), [(2, 1.06), (3, 1.55), (4, 1.90), (5, 2.10), (6, 2.21), (8, 2.32)])
-def test_the_limit_of_a_reach(reach: float, value: float) -> None:
-    assert limit(0.4, 1, reach) == pytest.approx(value, abs=5e-3)
-
-
 def test_far_reaches_have_the_limit_of_none() -> None:
     for reach in (1e5, 1e15, 1e30):
         assert limit(0.4, 1, reach) == pytest.approx(limit(0.4, 1), rel=2e-7)

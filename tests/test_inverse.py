@@ -22,7 +22,6 @@ Floats = npt.NDArray[np.float64]
 
 SHAPE = (90, 120)
 VOLUME = (30, 40, 50)
-IMAGE = {"at": (50.5, 30.0), "by": (9.0, -17.0), "radius": 30.0}
 
 
 def twenty_radii(**how: Any) -> Deformation:
@@ -41,79 +40,56 @@ def deep_sequence(**how: Any) -> Deformation:
     return d
 
 
-def several(d: Deformation, *strokes: dict[str, Any]) -> Deformation:
-    for stroke in strokes:
-        d = d.grab(**stroke)
-    return d
+def damped(at: Any = (50.5, 30.0), by: Any = (9.0, -17.0), radius: float = 30.0, **how: Any) -> Deformation:
+    """One drag, as far as it does not fold; of the options, some are the brush's."""
+    brush = {name: how.pop(name) for name in ("poisson", "scales", "reach") if name in how}
+    d = Deformation(how.pop("shape", SHAPE), **{"border": 64, "on_fold": "damp", **how})
+    return d.add(Stroke.grab(at, by=by, radius=radius, **brush), warn=False)
+
+
+def far(at: Any, by: Any, radius: float, **how: Any) -> Deformation:
+    return damped(at, by, radius, reach=None, **how)
 
 
 PROBLEMS: dict[str, Callable[[], Deformation]] = {
     "nothing": lambda: Deformation(SHAPE, border=64, on_fold="damp"),
-    "one grab": lambda: Deformation(SHAPE, border=64, on_fold="damp").grab(**IMAGE),
-    "a free border": lambda: Deformation(SHAPE, border=None, on_fold="damp").grab(**IMAGE),
-    "a border of one pixel": lambda: Deformation(SHAPE, border=1.0, on_fold="damp").grab(**IMAGE),
-    "a border wider than all": lambda: Deformation(SHAPE, border=1e6, on_fold="damp").grab(**IMAGE),
-    "ν = 0.5": lambda: Deformation(SHAPE, border=64, on_fold="damp").grab(**IMAGE, poisson=0.5),
-    "ν = -∞": lambda: Deformation(SHAPE, border=64, on_fold="damp").grab(**IMAGE, poisson=-math.inf),
-    "two scales": lambda: Deformation(SHAPE, border=64, on_fold="damp").grab(**IMAGE, scales=2),
-    "three scales": lambda: Deformation(SHAPE, border=64, on_fold="damp").grab(**IMAGE, scales=3),
+    "one grab": damped,
+    "a free border": lambda: damped(border=None),
+    "a border of one pixel": lambda: damped(border=1.0),
+    "a border wider than all": lambda: damped(border=1e6),
+    "ν = 0.5": lambda: damped(poisson=0.5),
+    "ν = -∞": lambda: damped(poisson=-math.inf),
+    "two scales": lambda: damped(scales=2),
+    "three scales": lambda: damped(scales=3),
     "20 radii, damped": lambda: twenty_radii(),
     "20 radii, damped, free": lambda: twenty_radii(border=None),
     "20 radii, flowing": lambda: twenty_radii(on_fold="flow", border=None),
-    "20 radii, flowing, a border": lambda: Deformation((300, 400), on_fold="flow", border=64).grab(
-        (100, 150), by=(200, 0), radius=10, scales=2, reach=None
-    ),
-    "just below the limit": lambda: Deformation(SHAPE, border=None, on_fold="damp").grab(
-        (60, 40), by=(0.985 * 20 * limit(0.4, 1), 0), radius=20, reach=None
-    ),
-    "a corner": lambda: Deformation(SHAPE, border=64, on_fold="damp").grab((0, 0), by=(30, 40), radius=30, reach=None),
-    "the other corner": lambda: Deformation(SHAPE, border=5, on_fold="damp").grab(
-        (119, 89), by=(-30, -40), radius=30, scales=2, reach=None
-    ),
-    "a free corner": lambda: Deformation(SHAPE, border=None, on_fold="damp").grab(
-        (119, 0), by=(-30, 40), radius=30, reach=None
-    ),
-    "a face": lambda: Deformation(SHAPE, border=3, on_fold="damp").grab((60, 0), by=(4, 40), radius=30, reach=None),
-    "far outside": lambda: Deformation(SHAPE, border=64, on_fold="damp").add(
-        Stroke.grab((-300, 500), by=(400, 90), radius=200, reach=None), warn=False
-    ),
-    "just outside": lambda: Deformation(SHAPE, border=None, on_fold="damp").add(
-        Stroke.grab((-3, 92), by=(20, -30), radius=15, scales=3, reach=None), warn=False
-    ),
-    "a pixel's radius": lambda: Deformation(SHAPE, border=64, on_fold="damp").grab(
-        (60.3, 40.9), by=(1, -0.7), radius=1, scales=3, reach=None
-    ),
-    "a radius of many images": lambda: Deformation(SHAPE, border=64, on_fold="damp").grab(
-        (60, 40), by=(900, 500), radius=5000, reach=None
-    ),
-    "flat pixels": lambda: Deformation(SHAPE, spacing=(0.2, 3.0), border=64, on_fold="damp").grab(
-        (50, 30), by=(40, -2), radius=12, reach=None
-    ),
-    "tiny units": lambda: Deformation(SHAPE, spacing=1e-9, border=1e-8, on_fold="damp").grab(
-        (50, 30), by=(9, -17), radius=3e-8, reach=None
-    ),
+    "20 radii, flowing, a border": lambda: far((100, 150), (200, 0), 10, scales=2, shape=(300, 400), on_fold="flow"),
+    "just below the limit": lambda: far((60, 40), (0.985 * 20 * limit(0.4, 1), 0), 20, border=None),
+    "a corner": lambda: far((0, 0), (30, 40), 30),
+    "the other corner": lambda: far((119, 89), (-30, -40), 30, scales=2, border=5),
+    "a free corner": lambda: far((119, 0), (-30, 40), 30, border=None),
+    "a face": lambda: far((60, 0), (4, 40), 30, border=3),
+    "far outside": lambda: far((-300, 500), (400, 90), 200),
+    "just outside": lambda: far((-3, 92), (20, -30), 15, scales=3, border=None),
+    "a pixel's radius": lambda: far((60.3, 40.9), (1, -0.7), 1, scales=3),
+    "a radius of many images": lambda: far((60, 40), (900, 500), 5000),
+    "flat pixels": lambda: far((50, 30), (40, -2), 12, spacing=(0.2, 3.0)),
+    "tiny units": lambda: far((50, 30), (9, -17), 3e-8, spacing=1e-9, border=1e-8),
     "thirty strokes": lambda: deep_sequence(),
     "thirty strokes, free": lambda: deep_sequence(border=None),
-    "there and back": lambda: several(
-        Deformation((200, 200), border=20, on_fold="flow"),
-        {"at": (60, 100), "to": (140, 105), "radius": 20},
-        {"at": (140, 105), "to": (60, 100), "radius": 20},
+    "there and back": lambda: (
+        Deformation((200, 200), border=20)
+        .grab((60, 100), to=(140, 105), radius=20)
+        .grab((140, 105), to=(60, 100), radius=20)
     ),
-    "a volume": lambda: Deformation(VOLUME, border=8, on_fold="damp").grab(
-        (25, 20, 15), by=(9, -7, 4), radius=12, reach=None
-    ),
-    "thick slices": lambda: several(
-        Deformation(VOLUME, border=10, spacing=(0.7, 0.7, 3.0), on_fold="damp"),
-        {"at": (25, 20, 15), "by": (9, -7, 1), "radius": 12, "scales": 2},
-        {"at": (5, 39, 0), "by": (-9, -7, 30), "radius": 40, "poisson": -2},
-    ),
-    "a volume, flowing": lambda: Deformation(VOLUME, border=None, on_fold="flow").grab(
-        (10, 20, 15), to=(40, 12, 20), radius=5, reach=None
-    ),
-    "one row": lambda: Deformation((1, 120), border=64, on_fold="damp").grab(
-        (50, 0), by=(30, 0), radius=20, reach=None
-    ),
-    "one pixel": lambda: Deformation((1, 1), border=None, on_fold="damp").grab((0, 0), by=(3, 1), radius=4, reach=None),
+    "a volume": lambda: far((25, 20, 15), (9, -7, 4), 12, shape=VOLUME, border=8),
+    "thick slices": lambda: damped(
+        (25, 20, 15), (9, -7, 1), 12, scales=2, shape=VOLUME, border=10, spacing=(0.7, 0.7, 3.0)
+    ).grab((5, 39, 0), by=(-9, -7, 30), radius=40, poisson=-2),
+    "a volume, flowing": lambda: far((10, 20, 15), (30, -8, 5), 5, shape=VOLUME, border=None, on_fold="flow"),
+    "one row": lambda: far((50, 0), (30, 0), 20, shape=(1, 120)),
+    "one pixel": lambda: far((0, 0), (3, 1), 4, shape=(1, 1), border=None),
 }
 
 
@@ -196,7 +172,7 @@ def test_faces_and_corners_stay_where_they_are() -> None:
 
 def test_far_from_the_domain() -> None:
     for border in (None, 20.0):
-        d = Deformation(SHAPE, border=border, on_fold="damp").grab(**IMAGE)
+        d = damped(border=border)
         for distance in (1e3, 1e6, 1e9, 1e12):
             q = np.array([[distance, 3.0], [-distance, -distance], [40.0, distance]])
             found = d.inverse(q)
@@ -267,20 +243,8 @@ def test_shapes_are_kept(shape: tuple[int, ...], ndim: int, moved: bool) -> None
     assert (points == 12).all()
 
 
-def test_many_points_are_as_few() -> None:
-    """Batches and threads make no difference."""
-    d = deep_sequence()
-    q = reference.grid(SHAPE).reshape(-1, 2)
-    whole = d.inverse(q)
-    parts = [d.inverse(q[i : i + 997]) for i in range(0, len(q), 997)]
-    np.testing.assert_allclose(np.concatenate([p.points for p in parts]), whole.points, rtol=0, atol=1e-7)
-    np.testing.assert_array_equal(np.concatenate([p.converged for p in parts]), whole.converged)
-    again = d.inverse(q)
-    np.testing.assert_array_equal(again.points, whole.points)
-
-
 def test_points_of_any_kind() -> None:
-    d = Deformation(SHAPE, border=64, on_fold="damp").grab(**IMAGE)
+    d = damped()
     expected = d.inverse(np.array([[12.0, 40.0], [7.0, 3.0]])).points
     columns = np.array([[12.0, 7.0], [40.0, 3.0]])
     wide = np.zeros((4, 4))
@@ -319,26 +283,14 @@ BAD = [
 @pytest.mark.parametrize(("points", "message"), BAD)
 @pytest.mark.parametrize("method", ["inverse", "forward", "jacobian"])
 def test_bad_points_are_refused(points: Any, message: str, method: str) -> None:
-    for d in (
-        Deformation(SHAPE, border=64, on_fold="damp"),
-        Deformation(SHAPE, border=64, on_fold="damp").grab(**IMAGE),
-    ):
+    for d in (PROBLEMS["nothing"](), damped()):
         with pytest.raises(SuppleError, match=message):
             getattr(d, method)(points)
 
 
 def test_strokes_in_the_order_in_which_they_are_made() -> None:
-    a, b = (
-        Stroke.grab((50, 30), by=(9, -7), radius=20, reach=None),
-        Stroke.grab((60, 35), by=(-4, 12), radius=15, reach=None),
-    )
-    both = Deformation(SHAPE, border=64, on_fold="damp").add(a).add(b)
+    a, b = ({"at": (50, 30), "by": (9, -7), "radius": 20}, {"at": (60, 35), "by": (-4, 12), "radius": 15})
     q = np.random.default_rng(5).uniform(0, 80, (50, 2))
-    one_by_one = (
-        Deformation(SHAPE, border=64, on_fold="damp")
-        .add(a)
-        .inverse(Deformation(SHAPE, border=64, on_fold="damp").add(b).inverse(q).points)
-    )
-    np.testing.assert_allclose(both.inverse(q).points, one_by_one.points, rtol=0, atol=1e-9)
-    other = Deformation(SHAPE, border=64, on_fold="damp").add(b).add(a).inverse(q).points
-    assert np.abs(other - one_by_one.points).max() > 0.1
+    one_by_one = far(**a).inverse(far(**b).inverse(q).points).points
+    np.testing.assert_allclose(far(**a).grab(**b, reach=None).inverse(q).points, one_by_one, rtol=0, atol=1e-9)
+    assert np.abs(far(**b).grab(**a, reach=None).inverse(q).points - one_by_one).max() > 0.1

@@ -125,7 +125,6 @@ def test_outside_of_its_track_a_stroke_fades_smoothly() -> None:
     held = stroke.following([(4, (100, 50)), (9, (110, 40))], 4, outside="hold")
     assert {held.at_frame(k).strength for k in range(-3, 17)} == {0.5}
     assert Recipe.from_json(Recipe(strokes=(made,)).to_json()).strokes == (made,)
-    assert '"supple": 2' in Recipe(strokes=(made,)).to_json()
     alone = stroke.following([(4, (100, 50))])
     assert [alone.at_frame(k).strength for k in (-1, 4, 9)] == [0, 0.5, 0]
     with pytest.raises(SuppleError, match='outside must be "fade" or "hold"'):
@@ -187,15 +186,11 @@ def test_a_stroke_turns_and_grows_with_two_points() -> None:
         stroke.following(first, second=[*second[:1], first[1], *second[2:]])
 
 
-def test_keys_that_turn_are_of_version_3_and_mirrored_with_their_stroke() -> None:
+def test_keys_that_turn_are_kept_and_mirrored_with_their_stroke() -> None:
     stroke = replace(KEYED, keys=(Key(2, at=(30, 20), angle=-30), Key(6, scale=1.5), Key(9, angle=400, strength=0.5)))
     text = Recipe(strokes=(stroke,)).to_json()
-    assert '"supple": 3' in text
     assert '{"frame": 2, "at": [30, 20], "angle": -30}, {"frame": 6, "scale": 1.5}' in text
     assert Recipe.from_json(text).strokes == (stroke,)
-    with pytest.raises(SuppleError, match=r"unknown key 'angle' in strokes\[0\]: keys\[0\]: it is of version 3"):
-        Recipe.from_json(text.replace('"supple": 3', '"supple": 2'))
-    assert '"supple": 2' in Recipe(strokes=(KEYED,)).to_json()
     image = stroke.mirrored((32, 0), (1, 0))
     assert [key.angle for key in image.keys] == [30, None, -400]
     for k in (2, 5, 8):
@@ -222,18 +217,16 @@ def test_keys_survive_json_and_are_refused_by_name() -> None:
         with pytest.raises(SuppleError, match=wanted):
             Recipe.from_json(f'{{"supple": 2, "strokes": [{entry}]}}')
 
-    refused("3", r"strokes\[0\]: keys must be a list of objects")
-    refused("[3]", r"strokes\[0\]: keys\[0\] must be an object with a frame, .*, found 3")
-    refused('[{"at": [1, 2]}]', r'the key "frame" is missing in strokes\[0\]: keys\[0\]')
-    refused('[{"frame": 1, "atx": [1, 2]}]', r"unknown key 'atx' in strokes\[0\]: keys\[0\]: did you mean \"at\"")
+    refused("3", r"strokes\[0\]: keys must be a sequence of Key")
+    refused("[3]", r"strokes\[0\]: keys\[0\] must be a JSON object, found 3")
+    refused('[{"at": [1, 2]}]', r'strokes\[0\]: the key "frame" is missing in keys\[0\]')
+    refused('[{"frame": 1, "atx": [1, 2]}]', r"strokes\[0\]: unknown key 'atx' in keys\[0\]: did you mean \"at\"")
     refused('[{"frame": 1}]', r"the key of frame 1 must have at, strength, angle or scale, and has none")
     refused('[{"frame": 1.5, "strength": 1}]', r"frame must be a whole number")
     refused('[{"frame": 1, "strength": 2}]', r"strength must be a number from 0 to 1, found 2")
     refused('[{"frame": 1, "at": [1, 2, 3]}]', r"at must be 2 numbers")
     twice = '[{"frame": 1, "strength": 1}, {"frame": 1, "strength": 0}]'
     refused(twice, r"keys\[1\].frame must be after that of the key before it, 1, found 1")
-    with pytest.raises(SuppleError, match='it is of version 2 \\("supple": 2\\)'):
-        Recipe.from_json(text.replace('"supple": 2', '"supple": 1').replace(', "strength": 1, "keys"', ', "keys"'))
 
 
 def test_strokes_with_a_time_take_no_keys() -> None:

@@ -1,9 +1,8 @@
-"""Arrays in, arrays out: images, frames, volumes, batches and functions of points, checked once and sampled."""
+"""Arrays in, arrays out: images, frames, volumes and batches, checked once and sampled."""
 
 from __future__ import annotations
 
 import os
-import warnings
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple, Unpack
@@ -17,21 +16,14 @@ from supple.engine.devices import check_gradients, is_on_device
 from supple.engine.sampling import DEFAULT, Certificate, Sampling, SamplingFields, warn_of
 from supple.engine.stream import make_plan, stream
 from supple.engine.work import Array, Deforming, Space, Tell, Work, check_count, silent, spaces_of, work_of
-from supple.errors import SuppleError, ToleranceWarning, argument
-from supple.space.checks import integer, refuse
+from supple.errors import SuppleError
+from supple.space.checks import refuse
 
 # CUDA is imported only where it is used, to keep `import supple` fast.
 
-_MOST_POINTS = 1 << 18  # points in one call of a function
 _WEIGHTLESS = 1e-6  # a weight that rounding leaves
 _SLAB = 1 << 20  # bytes of a slab whose range is computed or clamped
-# Objects that hold an array, by their library and one of their attributes.
-_HELD = {
-    ("SimpleITK", "GetSpacing"): "an image of SimpleITK: give it to Deformation.warp, or its array",
-    ("nibabel", "dataobj"): "an image of nibabel: give it to Deformation.warp, or its array",
-    ("pydicom", "pixel_array"): "a data set of pydicom: give its pixel_array",
-    ("supple", "rescaled"): "a volume: give its samples",
-}
+_HOLDERS = ("GetSpacing", "dataobj", "pixel_array", "rescaled")  # attributes of objects that hold an array
 
 
 def check_device(device: object, what: str = "") -> None:
@@ -89,7 +81,7 @@ def warp_array(
     result = np.empty(shape, held.dtype) if out is None else checked_out(out, held, shape)
     if space.is_identity:
         result[...] = held
-        return result, Certificate(0.0, 0.0)
+        return result, Certificate()
     own = held
     if sampling.filter == "labels" and held.dtype.kind == "f" and _has_gaps(held):
         refuse("source", "an array of labels, which are finite", told="NaN or infinity")
@@ -138,7 +130,7 @@ def _converted(work: Work, frames: Array, planes: Array, tell: Tell) -> Certific
         with np.errstate(over="ignore"):
             planes[...] = made
         return certificate
-    certificate = Certificate(0.0, 0.0)
+    certificate = Certificate()
     plan = make_plan(work, range(len(planes)), tell)
     for z, (plane,), known in stream(work, plan, map(_Frame, frames)):
         with np.errstate(over="ignore"):
@@ -193,7 +185,7 @@ def warp_picture(
     The space is of all pages. ``regridded`` says whether the grid of the output is another one; ``name`` is that of the
     picture, for warnings.
     """
-    found, count = Certificate(0.0, 0.0), picture.pixels.shape[2] if picture.pixels.ndim == 3 else 1
+    found, count = Certificate(), picture.pixels.shape[2] if picture.pixels.ndim == 3 else 1
     if (dtype := picture.pixels.dtype).kind in "iu":
         low, high = np.iinfo(dtype).min, np.iinfo(dtype).max
         if wrong := [value for value in np.ravel(sampling.fill).tolist() if value < low or value > high]:
@@ -218,16 +210,15 @@ def array_of(value: object, name: str) -> Array:
     """Return a value as a NumPy array; SuppleError if it is not an array, with what to give."""
     check_gradients(value, name)
     first = value[0] if isinstance(value, list | tuple) and value else value
-    library, mode = type(first).__module__.partition(".")[0], getattr(first, "mode", None)
-    known = (said for (root, has), said in _HELD.items() if root == library and hasattr(type(first), has))
-    if held := next(known, ""):
-        held += ", and its spacing to Deformation"
+    mode, held = getattr(first, "mode", None), ""
+    if any(hasattr(type(first), name) for name in _HOLDERS):
+        held = f"one of {type(first).__module__}.{type(first).__name__}: give its array, and its spacing to Deformation"
     elif isinstance(first, str | os.PathLike):
         held = "the name of a file: supple.warp_file warps files"
-    elif library == "PIL" and mode in ("P", "PA", "HSV", "CMYK"):
+    elif type(first).__module__.startswith("PIL") and mode in ("P", "PA", "HSV", "CMYK"):
         held = f'a picture of the mode {mode}, whose numbers do not mix: give image.convert("RGB")'
     if held:
-        raise SuppleError(f"{argument(name)} must be an array, found {held}")
+        refuse(name, "an array", told=held)
     try:
         return np.asarray(value)
     except (TypeError, ValueError):
@@ -243,32 +234,21 @@ def checked_out(out: object, held: Array, shape: tuple[int, ...]) -> Array:
         refuse("out", wanted, told=f"{out.dtype} of shape {out.shape}")
     if not out.flags.writeable:
         raise SuppleError("out must be an array that can be written, found a read-only one")
-    if np.may_share_memory(out, held) or _same_bytes(out, held):
+    files = [_file_of(array) for array in (out, held)]
+    if np.may_share_memory(out, held) or (None not in files and files[0] == files[1]):
         raise SuppleError("out must not overlap source: the source is read while the result is written")
     return out
 
 
-def _same_bytes(out: Array, source: Array) -> bool:
-    """Return whether two arrays map overlapping parts of one file."""
-    one, two = _mapped(out), _mapped(source)
-    if one is None or two is None or not (one[1] < two[2] and two[1] < one[2]):
-        return False
-    try:
-        return os.path.samefile(one[0], two[0])
-    except OSError:  # a file may be deleted while it is mapped
-        return False
-
-
-def _mapped(array: Array) -> tuple[str, int, int] | None:
-    """Return the file that an array is mapped from, and the range of bytes."""
+def _file_of(array: Array) -> tuple[int, int] | None:
+    """Return the device and the number of the file that an array is mapped from."""
     root: Any = array
     while isinstance(root.base, np.ndarray):
         root = root.base
-    if not isinstance(root, np.memmap) or root.filename is None:
+    if not isinstance(root, np.memmap) or root.filename is None or not os.path.exists(root.filename):
         return None
-    low, high = np.lib.array_utils.byte_bounds(array)
-    start = root.offset - np.lib.array_utils.byte_bounds(root)[0]
-    return os.fspath(root.filename), low + start, high + start
+    found = os.stat(root.filename)
+    return found.st_dev, found.st_ino
 
 
 def _on_device(
@@ -355,40 +335,34 @@ def clamp_to(source: Array, result: Array, sampling: Sampling) -> None:
 
     NaN and infinities are unchanged.
     """
-    cubic = sampling.filter in ("auto", "cubic") or sampling.between_frames == "cubic"
-    if result.dtype.kind not in "iuf" or not cubic:
+    kind, cubic = result.dtype.kind, sampling.filter in ("auto", "cubic") or sampling.between_frames == "cubic"
+    if kind not in "iuf" or not cubic:
         return
-    low, high, infinite = _finite_range(source)
+    low, high = _finite_range(source)
     if low > high:  # no finite value
         return
     if sampling.outside == "constant":
-        fills = [float(value) for value in np.ravel(sampling.fill)]
-        fill = [value for value in fills if np.isfinite(value)] or [float(low)]
-        infinite = infinite or fill != fills
-        if result.dtype.kind in "iu":
+        fill = [float(x) for x in np.ravel(sampling.fill) if np.isfinite(x)] or [float(low)]
+        if kind in "iu":
             least, most = np.iinfo(result.dtype).min, np.iinfo(result.dtype).max
-            fill = [min(max(round(value), least), most) for value in fill]
+            fill = [min(max(round(x), least), most) for x in fill]
         low, high = min(low, result.dtype.type(min(fill))), max(high, result.dtype.type(max(fill)))
     for part in _slabs(result):  # values within the range keep every bit, the sign of a zero too
         for beyond, bound in ((part < low, low), (part > high, high)):
-            if infinite:
-                beyond &= np.isfinite(part)
-            np.copyto(part, bound, where=beyond)
+            np.copyto(part, bound, where=beyond & np.isfinite(part) if kind == "f" and beyond.any() else beyond)
 
 
-def _finite_range(source: Array) -> tuple[Any, Any, bool]:
-    """Return the least and the greatest finite value (in reverse order if there is none), and if any is infinite."""
-    kind, infinite = source.dtype.newbyteorder("="), False
+def _finite_range(source: Array) -> tuple[Any, Any]:
+    """Return the least and the greatest finite value, in reverse order if there is none."""
+    kind = source.dtype.newbyteorder("=")
     low, high = (np.inf, -np.inf) if kind.kind == "f" else (np.iinfo(kind).max, np.iinfo(kind).min)
     for part in _slabs(source):
         least, most = np.fmin.reduce(part, axis=None), np.fmax.reduce(part, axis=None)
         if np.isinf(least) or np.isinf(most):
-            infinite, part = True, part[np.isfinite(part)]
-            if not part.size:
-                continue
-            least, most = part.min(), part.max()
+            finite = part[np.isfinite(part)]
+            least, most = finite.min(initial=np.inf), finite.max(initial=-np.inf)
         low, high = min(low, least), max(high, most)
-    return kind.type(low), kind.type(high), infinite
+    return kind.type(low), kind.type(high)
 
 
 def _slabs(array: Array) -> Iterator[Array]:
@@ -400,49 +374,3 @@ def _slabs(array: Array) -> Iterator[Array]:
     rows = max(1, _SLAB * len(array) // max(array.nbytes, 1))
     for start in range(0, len(array), rows):
         yield array[start : start + rows]
-
-
-def warp_function(
-    function: Callable[[npt.NDArray[np.float64]], npt.ArrayLike],
-    space: Space,
-    samples: int,
-    out: Array | None,
-) -> Array:
-    """Evaluate a function of points at T⁻¹ of every output pixel, as the mean over ``samples``² points of each.
-
-    Nothing is interpolated: the function stays sharp at any magnification.
-    """
-    samples = integer("samples", samples, "a number of samples along a pixel's side, from 1 to 64", 1, 64)
-    _, height, width = space.planes
-    within = (np.arange(samples) + 0.5) / samples - 0.5
-    x = (np.arange(width)[:, None] + within).ravel()
-    rows = max(1, _MOST_POINTS // (width * samples * samples))
-    result: Array | None = None
-    certificate = Certificate(0.0, 0.0)
-    for top in range(0, height, rows):
-        y = (np.arange(top, min(top + rows, height))[:, None] + within).ravel()
-        grid = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
-        (points, _, _, converged), own = core.inverse(space, grid)
-        certificate |= own
-        if not converged.all():
-            warnings.warn(
-                f"{np.count_nonzero(~converged)} of {converged.size} source points did not converge: what is shown "
-                "there is a guess",
-                ToleranceWarning,
-                stacklevel=3,
-            )
-        values = np.asarray(function(points))
-        if values.ndim not in (1, 2) or values.shape[0] != len(points) or values.dtype.kind not in "biuf":
-            wanted = f"numbers of shape ({len(points)},) or ({len(points)}, channels) for points {points.shape}"
-            refuse("the function's values", wanted, told=f"{values.dtype} of shape {values.shape}")
-        if values.dtype.kind != "f":
-            values = values.astype(np.float64)
-        square = values.reshape(len(y) // samples, samples, width, samples, *values.shape[1:]).mean(axis=(1, 3))
-        if result is None:
-            shape = (height, width, *values.shape[1:])
-            result = np.empty(shape, values.dtype)
-            result = result if out is None else checked_out(out, result, shape)
-        result[top : top + len(square)] = square
-    warn_of(certificate, 1.0, 4)
-    assert result is not None
-    return result

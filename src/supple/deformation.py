@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import inspect
-import itertools
 import math
 import warnings
 from collections.abc import Callable, Collection, Sequence
-from dataclasses import dataclass, field, fields, replace
+from copy import copy
+from dataclasses import dataclass, field, replace
 from typing import Any, Concatenate, Literal, ParamSpec, Self, Unpack
 
 import numpy as np
@@ -23,12 +23,24 @@ from supple.engine.work import Mattes, Space, mask_of, shown_mask
 from supple.errors import FoldWarning, MissWarning, OutsideWarning, SuppleError, argument, caller, numbered, shown
 from supple.fields import Field, Placed, check_path, folds_of
 from supple.folding.limits import NEAR, farthest
-from supple.folding.resolved import FREE_ENOUGH, Resolved, apart, described, freedom_at, padded
+from supple.folding.resolved import FREE_ENOUGH, Resolved, apart, described, freedom_at, padded, spelled
 from supple.space.affine import Affine, matrix_rows
-from supple.space.checks import choice, colours_hint, flag, integer, length, library_of, number, point, refuse
+from supple.space.checks import (
+    Vector,
+    assign,
+    choice,
+    colours_hint,
+    flag,
+    integer,
+    length,
+    library_of,
+    number,
+    point,
+    refuse,
+)
 from supple.space.domain import BorderProfile, Domain
 from supple.space.freezing import Freeze
-from supple.space.geometry import Grid
+from supple.space.geometry import Floats, Grid
 from supple.space.straighten import Straighten
 from supple.strokes import (
     LEAST,
@@ -47,8 +59,6 @@ _HIT = 1e-6  # samples: a point of a pull that is as near as this has arrived
 _APART = 0.3  # radii between the points by which a way is restored or smoothed, at least
 _LAST = "the straightening"  # of a picture
 _FREE, _TAKEN = -1, -2  # of a point that no later stroke carries away, or one on purpose
-
-Floats = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -120,9 +130,9 @@ class Arrival:
         away; None if none does, or if one does so on purpose (`MissWarning`).
     """
 
-    target: tuple[float, ...]
-    arrived: tuple[float, ...]
-    final: tuple[float, ...]
+    target: Vector
+    arrived: Vector
+    final: Vector
     miss: float
     moved: float
     cause: str | None
@@ -173,7 +183,7 @@ class Report:
 
     strokes: int
     applied: int
-    damping: tuple[float, ...]
+    damping: Vector
     arrivals: tuple[Arrival, ...]
     margin: float
     folds: int
@@ -286,40 +296,28 @@ class Deformation:
         freeze: npt.ArrayLike | Freeze | None = None,
     ) -> None:
         choice("on_fold", on_fold, ("damp", "flow", "error"))
-        if isinstance(shape, Grid):
+        own = shape if isinstance(shape, Grid) else None
+        if own is not None:
             if spacing != 1.0:
                 refuse("spacing", "left out beside a grid, which has one", spacing)
-            grid, spacing = shape, shape.spacing
+            if own.shear:
+                refuse("shape", "a grid whose axes are at right angles (Grid.upright makes one)", shape)
+            spacing = own.spacing
         sizes = shape.shape if isinstance(shape, Grid) else shape
         if freeze is not None and not isinstance(freeze, Freeze):
             freeze = _freeze_of(freeze, Domain(sizes, spacing, time=time))
         domain = Domain(sizes, spacing, border, border_profile, time, freeze)
-        if not isinstance(shape, Grid):
-            grid = Grid(domain.shape, domain.spacing)
-        elif grid.shear:
-            refuse("shape", "a grid whose axes are at right angles (Grid.upright makes one)", shape)
-        elif isinstance(freeze, Freeze) and freeze.place:
-            _check_place(freeze, grid)
+        if own is not None and freeze is not None and freeze.place:
+            _check_place(freeze, own)
+        grid = own or Grid(domain.shape, domain.spacing)
         axes = domain.packed()
         if domain.ndim == 2:
             axes[2, 2] = 0.0  # nothing leaves the plane of an image, so that the field off it does not matter
         height, width = domain.shape[-2:]
         count = domain.shape[0] if domain.ndim == 3 else 1
-        values = {
-            "domain": domain,
-            "on_fold": on_fold,
-            "strokes": (),
-            "_resolved": (),
-            "_space": Space(np.zeros((0, ROW)), axes, domain.ndim, count, (height, width), freeze=mask_of(domain)),
-            "grid": grid,
-            "maps": (),
-            "output": grid,
-            "straightened": None,
-            "_points": np.zeros((0, 3, 3)),
-            "_carriers": np.zeros(0, np.int64),
-        }
-        for name, value in values.items():
-            object.__setattr__(self, name, value)
+        space = Space(np.zeros((0, ROW)), axes, domain.ndim, count, (height, width), freeze=mask_of(domain))
+        assign(self, domain=domain, on_fold=on_fold, strokes=(), _resolved=(), _space=space, grid=grid, output=grid)
+        assign(self, maps=(), straightened=None, _points=np.zeros((0, 3, 3)), _carriers=np.zeros(0, np.int64))
 
     @classmethod
     def from_recipe(
@@ -477,12 +475,11 @@ class Deformation:
         if check and self.maps:
             led = [replace(each, inverse=not each.inverse) for each in self.maps] if inverse else reversed(self.maps)
             check_path(led, grid or source or self.grid)
-        own = self.grid if source is None else source
-        leans = own != self.grid
-        if leans:
+        own = source or self.grid
+        if leans := own != self.grid:
             plain = replace(plain, count=own.shape[0] if self.ndim == 3 else 1, shape=(own.shape[-2], own.shape[-1]))
-        if grid is None and not self.maps and not inverse and (not leans or self.is_identity):
-            return plain
+            if grid is None and self.is_identity:
+                return plain
         frame, done = _frame(self.grid), 0
         parts: list[_core.Part] = []
         for placed in self.maps:
@@ -547,15 +544,13 @@ class Deformation:
 
         def rough(points: Floats) -> Floats:
             around = points[:, None] + radius * self._directions() / np.array(self.domain.spacing)
-            mean: Floats = self._displaced(around).mean(axis=1)
-            return self._displaced(points) - mean
+            return np.asarray(self._displaced(points) - self._displaced(around).mean(axis=1))
 
         return self._led(at, radius, strength, "smooth", rough, warn)
 
     def _displaced(self, points: Floats) -> Floats:
         """Return q - T⁻¹(q)."""
-        found: Floats = points - self.inverse(points).points
-        return found
+        return np.asarray(points - self.inverse(points).points)
 
     def _directions(self) -> Floats:
         """Return unit vectors around a point: of a hexagon, in a frame, or of an icosahedron, shape (N, D)."""
@@ -579,25 +574,22 @@ class Deformation:
         warn: bool,
     ) -> Self:
         """Return the deformation with a pull of some points, and some around them, by a part of their errors."""
-        given: Any = at
-        several = isinstance(given, Sequence | np.ndarray) and len(given) > 0 and np.ndim(given[0]) == 1
-        centres = np.array([point("at", p, (self.ndim,)) for p in (given if several else [given])])
+        n, spacing = self.ndim, np.array(self.domain.spacing)
+        centres = np.array([point("at", p, (n,)) for p in np.atleast_2d(np.asarray(at, object)).tolist()])
         amounts = strength if isinstance(strength, Sequence) else [strength] * len(centres)
         radius, wanted = length("radius", radius), "a number from 0 to 1, or one for each point"
         parts = np.array([number("strength", part, wanted, 0.0, 1.0) for part in amounts])
         if len(parts) != len(centres):
             refuse("strength", wanted, strength)
-        ring = np.concatenate([np.zeros((1, self.ndim)), 0.5 * radius * self._directions()])
-        every = (centres * self.domain.spacing)[:, None] + ring
-        chosen: list[tuple[Floats, float]] = []
-        for places, part in zip(every, parts.tolist(), strict=True):
-            taken = np.array([p for p, _ in chosen]).reshape(-1, self.ndim)
-            away = np.linalg.norm(places[:, None] - taken, axis=2).min(axis=1, initial=np.inf)
-            chosen += [(p, part) for p, far in zip(places, away > _APART * radius, strict=True) if far]
-        points, part = np.array([p for p, _ in chosen]) / self.domain.spacing, np.array([x for _, x in chosen])[:, None]
-        first, last = (x[: self.ndim] / self.domain.spacing for x in self.domain.packed()[:, :2].T)
+        ring = np.concatenate([np.zeros((1, n)), 0.5 * radius * self._directions()])
+        points, part = np.empty((0, n)), np.empty(0)
+        for places, amount in zip((centres * spacing)[:, None] + ring, parts, strict=True):
+            far = np.linalg.norm(places[:, None] - points, axis=2).min(axis=1, initial=np.inf) > _APART * radius
+            points, part = np.concatenate([points, places[far]]), np.append(part, np.full(far.sum(), amount))
+        points, part = points / spacing, part[:, None]
+        first, last = (x[:n] / spacing for x in self.domain.packed()[:, :2].T)
         # Samples within a fixed edge, which nothing else reaches; at the ends of a clip, points move in their frames.
-        held = np.full(self.ndim, 0.0 if self.domain.border is None else 1.0)
+        held = np.full(n, 0.0 if self.domain.border is None else 1.0)
         low, high = first + held, last - held
         if self.domain.time:
             held[2] = 0.0
@@ -863,16 +855,15 @@ class Deformation:
             what = "field" if isinstance(placed.map, Field) else "affine map"
             raise SuppleError(f"the {what} has {placed.map.ndim} axes, and the shape {self.shape} has {self.ndim}")
         if warn:
-            warn_of(Certificate(0.0, 0.0), math.inf, 4, folds_of([placed]))
+            warn_of(Certificate(), math.inf, 4, folds_of([placed]))
         here, points = replace(placed, after=len(self.strokes), row=len(self._space.rows)), self._points.copy()
         if len(points):
             points[:, 1:] = self._moved(placed, points[:, 1:].reshape(-1, 3)).reshape(-1, 2, 3)
         return self._changed(maps=(*self.maps, here), _points=points)
 
     def _changed(self, **changes: Any) -> Self:
-        made = object.__new__(type(self))
-        for each in fields(self):
-            object.__setattr__(made, each.name, changes.get(each.name, getattr(self, each.name)))
+        made = copy(self)
+        assign(made, **changes)
         return made
 
     def forward(self, points: npt.ArrayLike) -> Floats:
@@ -976,7 +967,6 @@ class Deformation:
         *,
         sampling: Sampling = DEFAULT,
         alpha: bool | None = None,
-        samples: int = 1,
         clamp: bool = False,
         device: str = "cpu",
         out: npt.NDArray[Any] | None = None,
@@ -984,17 +974,16 @@ class Deformation:
         inverse: bool = False,
         **options: Unpack[SamplingFields],
     ) -> Any:
-        """Warp an image, a stack of frames, or a function of points.
+        """Warp an image or a stack of frames.
 
         Parameters
         ----------
-        source : array of shape (H, W[, C]) or (T, H, W[, C]), function, Picture, or image of SimpleITK or nibabel
+        source : array of shape (H, W[, C]) or (T, H, W[, C]), Picture, or image of SimpleITK or nibabel
             A picture, as `supple.media.image.read` returns it, says itself which channel is opacity; for its array
             alone, ``alpha`` has to say so. Arrays are of bool, integers or floats. Frames are read, and their results
             written, a few at a time, so that both may be memory-mapped. An array on an NVIDIA GPU (PyTorch's, CuPy's,
-            Numba's, or any with DLPack or
-            ``__cuda_array_interface__``) is warped there, on its library's current stream. A function takes points
-            (N, 2), x first, and returns (N,) or (N, C). Of an image of SimpleITK or nibabel, the deformation has the
+            Numba's, or any with DLPack or ``__cuda_array_interface__``) is warped there, on its library's current
+            stream. Of an image of SimpleITK or nibabel, the deformation has the
             shape and the spacing (``Deformation(supple.grid_of(image))``); a volume is sampled alike along all axes
             unless ``between`` is given, components and times are channels, and none is opacity by default.
         sampling : Sampling, optional
@@ -1003,8 +992,6 @@ class Deformation:
             Whether the last channel is opacity, by which the others are weighted while they are filtered; full opacity
             is the largest value of an integer type, and 1 of floats. By default, the last of exactly four channels of 8
             or 16 bits is opacity.
-        samples : int
-            For a function: samples along each side of an output pixel, which are averaged.
         clamp : bool
             Whether to clamp the result to the finite range of the source (and ``fill``, if it is visible), which cubic
             filters overshoot beside sharp edges. Only for arrays in host memory, not on a CUDA device.
@@ -1043,7 +1030,7 @@ class Deformation:
             If samples of a picture are NaN, infinite or marked as no data.
         """
         # Imported here to keep `import supple` fast.
-        from supple.arrays import check_device, warp_array, warp_function, warp_picture
+        from supple.arrays import warp_array, warp_picture
 
         inverse = flag("inverse", inverse)
         plain = self.domain.time and not self.maps and grid is None and device != "cuda" and not inverse
@@ -1055,7 +1042,7 @@ class Deformation:
             if grid.ndim != self.ndim:
                 refuse("grid", f"a grid of {self.ndim} axes, as the deformation is", told=f"one of {grid.ndim}")
         image = None
-        if library_of(source):
+        if not isinstance(source, np.ndarray) and library_of(source):
             from supple.media.objects import held
 
             image = held(source)
@@ -1065,17 +1052,6 @@ class Deformation:
                 sampling = sampling.along_all_axes()
         source, alpha = (source, alpha) if image is None else (image.samples, bool(alpha))
         space = self.space_on(grid, self._own(image.grid, grid) if image else None, inverse=inverse)
-        if callable(source) and not hasattr(source, "__array__"):
-            if grid is not None:
-                refuse("grid", "left out for a function of points", grid)
-            if clamp:
-                refuse("clamp", "False for a function of points, which is not interpolated", clamp)
-            check_device(device, "a function of points, which Python evaluates")
-            if self.ndim == 3:
-                raise SuppleError(f"a function of points is warped as an image, and shape {self.shape} has three axes")
-            return warp_function(source, space, samples, out)
-        if samples != 1:
-            refuse("samples", "left out for an array: it is for a function of points", samples)
         if hasattr(source, "warped"):
             if alpha is not None or out is not None:
                 raise SuppleError("alpha and out are for arrays, and a picture says itself what its channels are")
@@ -1085,22 +1061,19 @@ class Deformation:
             )
         else:
             made, certificate = warp_array(source, space, sampling, alpha=alpha, clamp=clamp, device=device, out=out)
-        unit = "voxels" if self.ndim == 3 and not self.domain.time else "px"
+        unit = "voxels" if space.ndim == 3 and not self.domain.time else "px"
         warn_of(certificate, sampling.tolerance, 3, unit=unit)
         return made if image is None else image.like(made, grid or (self.output if self.straightened else None))
 
     def _own(self, own: Grid, output: Grid | None) -> Grid | None:
         """Return the grid of an image if it is not that of the deformation; SuppleError if it does not fit this."""
-        upright = own.upright()
-        steps = [" x ".join(f"{x:.6g}" for x in each.spacing) for each in (upright, self.grid)]
-        made = "make it on the image's grid, Deformation(supple.grid_of(image)"
-        if self.domain.time or upright.shape != self.shape:
-            shape = " x ".join(map(str, upright.shape))
-            raise SuppleError(f"the image is of shape {shape}, and the deformation is for {self.shape}: {made})")
-        if not np.allclose(upright.spacing, self.grid.spacing, rtol=1e-3, atol=0.0):
-            raise SuppleError(f"the image has a spacing of {steps[0]}, and the deformation of {steps[1]}: {made})")
+        upright, made = own.upright(), "make it on the image's grid, Deformation(supple.grid_of(image))"
+        near = np.allclose(upright.spacing, self.grid.spacing, rtol=1e-3, atol=0.0)
+        if self.domain.time or upright.shape != self.shape or not near:
+            told, wanted = (f"{spoken(each.shape)} at {spelled(each.spacing)}" for each in (upright, self.grid))
+            raise SuppleError(f"the image is of shape {told}, and the deformation is for {wanted}: {made}")
         if (own.shear or self.maps or output is not None) and not upright.is_same_space(self.grid):
-            raise SuppleError(f"the image lies elsewhere in space than the grid of the deformation: {made})")
+            raise SuppleError(f"the image lies elsewhere in space than the grid of the deformation: {made}")
         return own if own.shear else None
 
     def report(self, *, tolerance: float = 0.01, plane: int | None = None, grid: Grid | None = None) -> Report:
@@ -1121,7 +1094,7 @@ class Deformation:
         which = range(count)
         if plane is not None:
             which = range(k := integer("plane", plane, f"one of the {count} there are", 0, count - 1), k + 1)
-        certificate, turned = Certificate(0.0, 0.0), 0
+        certificate, turned = Certificate(), 0
         for z in which if not space.is_identity else ():
             plan = plan_of(space, z, tolerance)
             certificate |= measured(plan, tolerance)
@@ -1210,7 +1183,7 @@ def _frame(grid: Grid) -> Floats:
 
 def _check_place(freeze: Freeze, grid: Grid) -> None:
     """Refuse a freeze mask that lies elsewhere in space than the grid."""
-    corners = np.array([*itertools.product(*[(0.0, n - 1.0) for n in grid.sizes])])
+    corners = grid.corners()
     matrix = np.reshape(freeze.place, (3, 4))
     off = np.abs(grid.indices(corners @ matrix[:, :3].T + matrix[:, 3]) - corners).max()
     if not off < 0.01:

@@ -58,7 +58,7 @@ def test_an_option_of_images_is_refused_before_what_does_not_go_with_it() -> Non
     d, image = supple.Deformation((40, 60)), np.zeros((40, 60))
     with pytest.raises(supple.SuppleError, match=r"^between must be left out for an image"):
         d.warp(image, filter="nearest", between="linear")
-    with pytest.raises(TypeError, match=r"unexpected keyword argument 'fliter'; options of sampling are filter, "):
+    with pytest.raises(TypeError, match="unexpected keyword argument 'fliter'"):
         d.warp(image, fliter="nearest")  # type: ignore[call-arg]
     with pytest.raises(TypeError, match="unexpected keyword argument 'between_frames'"):
         d.warp(image, between_frames="linear")  # type: ignore[call-arg]

@@ -24,7 +24,7 @@ PROGRAM = """
 import sys
 import numpy as np
 from supple import Deformation, _core
-from supple.strokes import numbers
+from supple._core.rows import numbers
 rng = np.random.default_rng(1)
 made = {"isa": np.array(_core.isa)}
 for shape in ((70, 90), (6, 40, 50)):

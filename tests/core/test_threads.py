@@ -118,7 +118,7 @@ def test_another_number_of_threads_at_each_call(monkeypatch: pytest.MonkeyPatch)
 
 LONG = {
     "points": """
-from supple.strokes import numbers
+from supple._core.rows import numbers
 d = Deformation((500, 500)).grab((250, 250), by=(40, 5), radius=90)
 q = np.random.default_rng(0).uniform(0, 500, (200_000, 2))
 rows = np.repeat(numbers(d.space.table), 400, axis=0)

@@ -230,11 +230,6 @@ def test_clips_and_views_are_refused_whoever_is_there(capfd: pytest.CaptureFixtu
     assert not Path("gallery").exists()
 
 
-def test_a_function_of_points_is_the_cpu_s() -> None:
-    with pytest.raises(SuppleError, match='device must be "cpu" or "auto" for a function of points'):
-        supple.Deformation((9, 9)).warp(lambda points: points[:, 0], device="cuda")
-
-
 @pytest.mark.usefixtures("folder")
 def test_other_devices_import_nothing_of_it() -> None:
     code = (

@@ -120,14 +120,6 @@ def test_the_average_over_time_is_the_integral(filter: str, between: str) -> Non
         assert off[widths == 0].mean() < 0.3
 
 
-def test_the_reference_average_is_one() -> None:
-    t = np.random.default_rng(4).uniform(-3, 3, 200)
-    for name in ("linear", "cubic"):
-        for width in (0.0, 0.4, 1.0, 2.7, 9.0):
-            frames = np.arange(-12, 13)[:, None] - t
-            np.testing.assert_allclose(reference.averaged(name, frames, np.full_like(frames, width)).sum(axis=0), 1)
-
-
 def test_averages_over_time_beyond_the_clip() -> None:
     """A box around a time outside is as long as one inside."""
     before = Stroke.grab((25, 20, -10), by=(0, 0, 25), radius=12, reach=None)

@@ -200,8 +200,8 @@ IMAGE = itk(smooth().astype(np.int16))
 REFUSED: dict[str, tuple[Callable[[], object], str]] = {
     "spacing": (
         lambda: Deformation(SHAPE).grab((3, 3, 3), by=(1, 0, 0), radius=4).warp(IMAGE),
-        r"the image has a spacing of 0.9 x 1.1 x 2.5, and the deformation of 1 x 1 x 1: make it on the image's grid, "
-        r"Deformation\(supple.grid_of\(image\)\)$",
+        r"the image is of shape .* at \(0.9, 1.1, 2.5\), and the deformation is for .* at \(1, 1, 1\): "
+        r"make it on the image's grid, Deformation\(supple.grid_of\(image\)\)$",
     ),
     "shape": (lambda: bent(IMAGE).warp(IMAGE[:, :, :10]), "the image is of shape 10 x 24 x 28"),
     "place": (
@@ -215,7 +215,7 @@ REFUSED: dict[str, tuple[Callable[[], object], str]] = {
         r"found a label map: SimpleITK.LabelMapToLabel\(image\)",
     ),
     "no affine": (lambda: supple.grid_of(nibabel.Nifti1Image(smooth().T, None)), "must have an affine"),
-    "a list": (lambda: bent(IMAGE).warp([IMAGE]), "source must be an array, found an image of SimpleITK"),
+    "a list": (lambda: bent(IMAGE).warp([IMAGE]), "source must be an array, found one of SimpleITK"),
     "a clip": (lambda: Deformation(SHAPE, time=True).warp(IMAGE), "the image is of shape"),
     "no transform": (lambda: supple.read_maps(IMAGE), "path must be the name of a file, or a transform of SimpleITK"),
     "velocities": (

@@ -14,8 +14,8 @@ from supple.engine.sampling import BETWEEN, FILTERS, OUTSIDE, Certificate, Sampl
 from supple.engine.work import Array, Space, Tell, Work, silent
 from supple.errors import SuppleError
 from supple.space.checks import refuse
+from supple.space.geometry import Floats
 
-Floats = npt.NDArray[np.float64]
 Box = tuple[int, int, int, int]
 
 CONVERGED = 1e-6
@@ -123,11 +123,10 @@ def samplings_of(
     sampling, rule = work.sampling, OUTSIDE[work.sampling.outside]
     chosen = FILTERS[sampling.filter], BETWEEN[sampling.between_frames], rule, sampling.averages_frames
     nearest = FILTERS["nearest"], BETWEEN["nearest"], rule, False
-    fills = np.broadcast_to(sampling.fill, sum(group.channels for group in work.layout.groups)).tolist()
-    made, done = [], 0
+    fills = iter(np.broadcast_to(sampling.fill, sum(group.channels for group in work.layout.groups)).tolist())
+    made = []
     for group, held, out in zip(work.layout.groups, frames, outs, strict=True):
-        fill = list(map(float, fills[done : done + group.channels]))
-        done += group.channels
+        fill = [float(next(fills)) for _ in range(group.channels)]
         job = _core.Sampling(
             held, out, count, group.step, group.offset, *(nearest if group.exact else chosen), fill,
             group.channels - 1 if group.alpha else -1, sampling.linear_light, work.layout.white, corner,
@@ -164,7 +163,7 @@ def sample(
                 plan.sample(each)
         return certificate_of(plan, space)
     first, shape, box = _laid(space, work.layout.step)
-    table, together, certificate = space.rows, _TOGETHER * _core.threads(), Certificate(0.0, 0.0)
+    table, together, certificate = space.rows, _TOGETHER * _core.threads(), Certificate()
     for start in range(0, planes, together):
         some = slice(start, min(start + together, planes))
         numbered = list(range(first + some.start, first + some.stop))
@@ -192,7 +191,7 @@ def forward(space: Space, points: npt.ArrayLike, *, matrices: bool = False) -> t
     Without fields, T is explicit.
     """
     rows, given = _rows(space, points)
-    certificate = Certificate(0.0, 0.0)
+    certificate = Certificate()
     if space.composite is None:
         result, slopes = _core.forward(space.rows, space.axes, rows, matrices, space.freeze)
     else:
@@ -259,7 +258,7 @@ def inverse_map(
     In float64, points of images of any size are equally accurate.
     """
     out = np.empty((*space.out, space.ndim), dtype)
-    certificate = Certificate(0.0, 0.0)
+    certificate = Certificate()
     for z, plane in enumerate(out if space.ndim == 3 else [out]):
         plan = plan_of(space, z, tolerance)
         plan.points(plane)

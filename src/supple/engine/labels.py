@@ -8,7 +8,7 @@ label wins, so that no result depends on tiles.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -32,38 +32,32 @@ def sample(
     corner: tuple[int, int, int] | None = None,
 ) -> Certificate:
     """Sample labels, as `supple.engine.core.sample` samples all else; frames may be of any type and order."""
-    own = work.sampling
+    own, (planes, *size, channels) = work.sampling, outs[0].shape
     sampling = replace(own, filter="auto", between=own.between_frames, time_filter=own.averages_frames, fill=0.0)
-    certificate, planes, flat = Certificate(0.0, 0.0), len(outs[0]), work.space.ndim == 2
-    whole = work.space.grid or Grid(work.space.whole)
-    fills = np.broadcast_to(own.fill, sum(out.shape[3] for out in outs)).tolist()
-    for box in _boxes((1 if flat else planes, *outs[0].shape[1:3])):
-        first, sizes = [a for a, _ in box[::-1]], [b - a for a, b in box[::-1]]
-        tile = replace(work.space, grid=whole.crop(first[: work.space.ndim], sizes[: work.space.ndim]))
+    certificate, flat = Certificate(), work.space.ndim == 2
+    whole, n = work.space.grid or Grid(work.space.whole), work.space.ndim
+    fills = np.broadcast_to(own.fill, len(outs) * channels).reshape(len(outs), channels)
+    shape = (1 if flat else planes, *size)
+    for first in itertools.product(*(range(0, size, step) for size, step in zip(shape, _TILE, strict=True))):
+        sizes = np.minimum(np.subtract(shape, first), _TILE).tolist()
+        tile = replace(work.space, grid=whole.crop(first[::-1][:n], sizes[::-1][:n]))
         read, _, known = needed(tile, sampling)
         certificate |= known
-        x, y, z = corner or (0, 0, 0)
+        here = x, y, z = corner or (0, 0, 0)
         if read[1] <= read[0] or read[3] <= read[2] or read[5] <= read[4]:  # the fill value alone
             read = x, x + 1, y, y + 1, z, z + 1
-        place = slice(*box[1]), slice(*box[2])
-        rows, columns = slice(read[2] - y, read[3] - y), slice(read[0] - x, read[1] - x)
+        depth, rows, columns = (slice(read[k] - here[k // 2], read[k + 1] - here[k // 2]) for k in (4, 2, 0))
+        to = [slice(a, a + size) for a, size in zip(first, sizes, strict=True)]
         for k in range(planes if flat else 1):  # each frame is an image of its own
-            depth = slice(k, k + 1) if flat else slice(read[4] - z, read[5] - z)
-            to, channel, start = slice(k, k + 1) if flat else slice(*box[0]), 0, (read[0], read[2], read[4])
-            for held, out in zip(frames, outs, strict=True):
-                for c in range(out.shape[3]):
+            if flat:
+                to[0] = depth = slice(k, k + 1)
+            for held, out, some in zip(frames, outs, fills.tolist(), strict=True):
+                for c, value in enumerate(some):
+                    fill = value if own.outside == "constant" else None
                     part = held[depth, rows, columns, c]
-                    fill = fills[channel] if own.outside == "constant" else None
-                    out[(to, *place, c)] = _shared(tile, sampling, part, start, fill)
-                    channel += 1
-        tell("warp", box[0][1], planes)
+                    out[..., c][tuple(to)] = _shared(tile, sampling, part, (read[0], read[2], read[4]), fill)
+        tell("warp", first[0] + sizes[0], planes)
     return certificate
-
-
-def _boxes(shape: Sequence[int]) -> Iterator[tuple[tuple[int, int], ...]]:
-    """Yield the tiles of an output."""
-    ranges = [[(k, min(k + step, n)) for k in range(0, n, step)] for n, step in zip(shape, _TILE, strict=True)]
-    yield from itertools.product(*ranges)
 
 
 def _shared(space: Space, sampling: Sampling, part: Array, corner: tuple[int, int, int], fill: float | None) -> Array:

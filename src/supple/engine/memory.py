@@ -7,14 +7,14 @@ import math
 import os
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
-from typing import IO, Any
+from typing import IO
 
 import numpy as np
 import numpy.typing as npt
 
+from supple.engine.work import Array
 from supple.errors import SuppleError, shown
 
-Array = npt.NDArray[Any]
 Full = Callable[[str, str, str], str]
 
 

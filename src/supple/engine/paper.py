@@ -8,8 +8,7 @@ import numpy.typing as npt
 from supple import _core
 from supple._core.rows import numbers
 from supple.errors import SuppleError
-
-Floats = npt.NDArray[np.float64]
+from supple.space.geometry import Floats
 
 
 def inverse_map(

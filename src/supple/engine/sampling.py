@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from copy import copy
+from dataclasses import dataclass, replace
 from typing import Any, TypedDict
 
 import numpy as np
@@ -12,7 +13,7 @@ import numpy.typing as npt
 
 from supple import _core
 from supple.errors import FoldWarning, OutsideWarning, SuppleError, ToleranceWarning, argument
-from supple.space.checks import choice, flag, number, refuse
+from supple.space.checks import assign, choice, flag, number, refuse
 
 # Codes shared with the core and CUDA.
 FILTERS = {"auto": 3, "cubic": 2, "linear": 1, "nearest": 0, "labels": 3}  # shares of labels are those of "auto"
@@ -61,16 +62,12 @@ class Sampling:
     linear_light: bool = False
     between: str | None = None
     time_filter: bool = False
-    # What is in effect: the interpolation between frames, and whether pixels are averaged over time.
-    between_frames: str = field(init=False, repr=False, compare=False)
-    averages_frames: bool = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         if self.filter in ("antialias", "ewa"):
-            raise SuppleError(
-                f'{argument("filter", self.filter)} is gone: "auto", the default, averages just what the map shrinks '
-                "(docs/sampling.md)"
-            )
+            gone = argument("filter", self.filter)
+            better = '"auto", the default, averages just what the map shrinks (docs/sampling.md)'
+            raise SuppleError(f"{gone} is gone: {better}")
         choice("filter", self.filter, tuple(FILTERS))
         choice("outside", self.outside, tuple(OUTSIDE))
         checked: dict[str, object] = {
@@ -92,11 +89,17 @@ class Sampling:
         checked["fill"] = tuple(fill.tolist()) if fill.ndim else float(fill)
         if self.filter == "labels" and self.linear_light:
             raise SuppleError(f"labels are no colours: leave {argument('linear_light')} out")
-        between = self.between or {"nearest": "nearest", "labels": "cubic"}.get(self.filter, "linear")
-        averages = (bool(self.time_filter) or self.filter == "labels") and between != "nearest"
-        checked |= {"between_frames": between, "averages_frames": averages}
-        for name, value in checked.items():
-            object.__setattr__(self, name, value)
+        assign(self, **checked)
+
+    @property
+    def between_frames(self) -> str:
+        """The interpolation between frames that is in effect."""
+        return self.between or {"nearest": "nearest", "labels": "cubic"}.get(self.filter, "linear")
+
+    @property
+    def averages_frames(self) -> bool:
+        """True if pixels are averaged over time."""
+        return (self.time_filter or self.filter == "labels") and self.between_frames != "nearest"
 
     @property
     def keeps_values(self) -> bool:
@@ -111,21 +114,15 @@ class Sampling:
         """
         if not isinstance(sampling, Sampling):
             refuse("sampling", "a Sampling", sampling)
-        if unknown := sorted(options.keys() - SamplingFields.__annotations__.keys()):
-            known = ", ".join(SamplingFields.__annotations__)
-            raise TypeError(f"unexpected keyword argument {unknown[0]!r}; options of sampling are {known}")
         if ndim == 2:
             for name in ("between", "time_filter"):
                 given = options.get(name, getattr(sampling, name))
                 if given is not None and given is not False:
                     refuse(name, "left out for an image, which is one frame", given)
-        made = replace(sampling, **options)
+        made = replace(sampling, **options) if options else sampling
         if made.between == "flow" and not flow:
-            refuse(
-                "between",
-                '"linear", "cubic" or "nearest" here ("flow" is for clips that strokes alone warp, on the CPU)',
-                made.between,
-            )
+            wanted = '"linear", "cubic" or "nearest" here ("flow" is for clips that strokes alone warp, on the CPU)'
+            refuse("between", wanted, made.between)
         return made
 
     def along_all_axes(self) -> Sampling:
@@ -138,8 +135,10 @@ class Sampling:
 
         Averages take finite ones only; `supple.arrays.warp_array` fills with others afterwards.
         """
+        made = copy(self)  # all else is checked
         if isinstance(self.fill, float | int) and self.fill == 0:  # the default, without a detour
-            return replace(self, fill=(0.0,) * channels)
+            assign(made, fill=(0.0,) * channels)
+            return made
         values = np.asarray(self.fill)
         if values.shape not in ((), (1,), (channels,)):
             refuse("fill", f"a number, or {channels} of them, one for each channel", self.fill)
@@ -148,7 +147,8 @@ class Sampling:
             refuse("fill", f"finite for {place}", self.fill)
         if dtype.kind in "iu":
             values = np.clip(values, np.iinfo(dtype).min, np.iinfo(dtype).max)
-        return replace(self, fill=tuple(np.broadcast_to(values, (channels,)).tolist()))
+        assign(made, fill=tuple(np.broadcast_to(values, (channels,)).tolist()))
+        return made
 
 
 DEFAULT = Sampling()
@@ -184,8 +184,8 @@ class Certificate:
         field's grid.
     """
 
-    error: float
-    evaluations: float
+    error: float = 0.0
+    evaluations: float = 0.0
     unknown: int = 0
     folded: int = 0
     outside: int = 0

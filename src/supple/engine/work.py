@@ -14,7 +14,7 @@ from supple import _core
 from supple._core.rows import STROKE_DTYPE
 from supple.engine.sampling import Sampling
 from supple.errors import SuppleError, argument, none
-from supple.space.checks import colours_hint, refuse
+from supple.space.checks import Shape, Vector, colours_hint, refuse
 from supple.space.domain import Domain
 from supple.space.freezing import Freeze
 from supple.space.geometry import Grid
@@ -31,7 +31,7 @@ def silent(step: str, done: int, total: int) -> None:
 class Mask(_core.Freeze):
     """A freeze mask as the core takes it, with its coefficients for shaders and CUDA; points are from an origin."""
 
-    def __init__(self, freeze: Freeze, spacing: tuple[float, ...], origin: tuple[float, ...]) -> None:
+    def __init__(self, freeze: Freeze, spacing: Vector, origin: Vector) -> None:
         values, first, self.step = freeze.packed(spacing)
         self.first: npt.NDArray[np.float64] = first - origin
         self.coefficients = freeze.coefficients.reshape(values.shape)
@@ -44,11 +44,11 @@ class Mask(_core.Freeze):
 
 
 @lru_cache(maxsize=16)
-def _mask(freeze: Freeze, spacing: tuple[float, ...], origin: tuple[float, ...]) -> Mask | None:
+def _mask(freeze: Freeze, spacing: Vector, origin: Vector) -> Mask | None:
     return None if freeze.is_free else Mask(freeze, spacing, origin)
 
 
-def mask_of(domain: Domain, origin: tuple[float, ...] = (0.0, 0.0, 0.0)) -> Mask | None:
+def mask_of(domain: Domain, origin: Vector = (0.0, 0.0, 0.0)) -> Mask | None:
     """Return a domain's freeze mask as the core takes it, or None if nothing is frozen.
 
     Points are from the origin, in physical units.
@@ -87,7 +87,7 @@ def _mattes(masks: tuple[Mask | None, ...], freezes: tuple[tuple[int, int], ...]
     return Mattes(masks, freezes)
 
 
-def seen_from(freeze: Mask | Mattes | None, origin: tuple[float, ...]) -> Mask | Mattes | None:
+def seen_from(freeze: Mask | Mattes | None, origin: Vector) -> Mask | Mattes | None:
     """Return a mask, or masks, for points from an origin, in physical units."""
     if isinstance(freeze, Mattes):
         masks = (None if mask is None else _mask(*mask.made_of[:2], origin) for mask in freeze.masks)
@@ -133,7 +133,7 @@ class Space:
         return self.rows.view(STROKE_DTYPE)[:, 0]
 
     @property
-    def whole(self) -> tuple[int, ...]:
+    def whole(self) -> Shape:
         """The shape of the arrays: of one image, or of all frames."""
         return self.shape if self.ndim == 2 and self.count == 1 else (self.count, *self.shape)
 
@@ -148,7 +148,7 @@ class Space:
         return self.composite is None and self.grid is None
 
     @property
-    def out(self) -> tuple[int, ...]:
+    def out(self) -> Shape:
         """The shape of the output arrays."""
         if self.grid is None:
             return self.whole
@@ -191,7 +191,7 @@ class Layout:
     groups: tuple[Group, ...]
     dtype: np.dtype[Any]
     white: float
-    black: tuple[float, ...] = (0.0,)
+    black: Vector = (0.0,)
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -201,7 +201,8 @@ class Layout:
     @property
     def step(self) -> tuple[int, int]:
         """The largest spacing of the samples of any group, in pixels, x first."""
-        return max(g.step[0] for g in self.groups), max(g.step[1] for g in self.groups)
+        along, down = zip(*(group.step for group in self.groups), strict=True)
+        return max(along), max(down)
 
 
 @dataclass(frozen=True, slots=True)
@@ -230,7 +231,7 @@ class Work:
 
 
 def work_of(
-    shape: tuple[int, ...],
+    shape: Shape,
     dtype: np.dtype[Any],
     space: Space,
     sampling: Sampling,

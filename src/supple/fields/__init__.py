@@ -11,14 +11,13 @@ import numpy as np
 import numpy.typing as npt
 
 from supple import _core
-from supple.engine.sampling import Certificate, certificate_of_status, warn_of
+from supple.engine.sampling import warn_of
 from supple.engine.work import Array
 from supple.errors import SuppleError, shown
 from supple.fields import checks
 from supple.fields.checks import FieldReport
 from supple.space.affine import Affine, Projective, matrix_rows
-from supple.space.checks import choice, number, refuse
-from supple.space.domain import FREE
+from supple.space.checks import assign, choice, number, refuse
 from supple.space.geometry import Box, Floats, Grid, check_boxes
 from supple.space.splines import coefficients
 
@@ -85,9 +84,7 @@ class Field:
             raise SuppleError("the field holds NaN or infinity")
         if interpolation == "bspline" and min(grid.shape) < 4:
             raise SuppleError(f"a cubic B-spline needs 4 coefficients along each axis, found {grid.shape}")
-        known = {"values": held, "grid": grid, "interpolation": interpolation, "beyond": beyond}
-        for name, value in known.items():
-            object.__setattr__(self, name, value)
+        assign(self, values=held, grid=grid, interpolation=interpolation, beyond=beyond)
 
     @classmethod
     def from_array(
@@ -102,8 +99,6 @@ class Field:
     ) -> Self:
         """Return a field of an array; see `Field` and `Grid` for the parameters."""
         given = _array(values)
-        if given.ndim not in (3, 4) or given.shape[-1] != given.ndim - 1 or 0 in given.shape:
-            refuse("values", "an array of shape (H, W, 2) or (Z, H, W, 3)", told=f"shape {given.shape}")
         return cls(given, Grid(given.shape[:-1], spacing, origin, direction), interpolation, beyond)
 
     @property
@@ -116,11 +111,9 @@ class Field:
         given = np.asarray(positions, np.float64)
         if given.shape[-1:] != (self.ndim,) or not np.isfinite(given).all():
             refuse("positions", f"finite numbers of shape (..., {self.ndim})", positions)
-        rows, part = np.zeros((given.size // self.ndim, 3)), Placed(self).packed(np.eye(self.ndim + 1))
-        rows[:, : self.ndim] = given.reshape(-1, self.ndim)
-        composite = _core.Composite(self.ndim, np.array([FREE] * 3), [part])
-        moved, _, _ = composite.through(rows, False, False, np.zeros(len(rows), np.uint8))
-        return np.ascontiguousarray(moved[:, : self.ndim]).reshape(given.shape)
+        part = Placed(self).packed(np.eye(self.ndim + 1))
+        moved = checks.through([part], given.reshape(-1, self.ndim))[0]
+        return np.ascontiguousarray(moved).reshape(given.shape)
 
     def packed(self, frame: Floats) -> _core.Sampled:
         """Return the field as the core takes it.
@@ -537,15 +530,7 @@ def compose(maps: Sequence[Map | Placed], grid: Grid) -> Field:
             raise SuppleError(f"{placed.told} has {placed.map.ndim} axes, and the grid has {n}")
     check_path(given, grid, "the grid of the result")
     parts = [placed.packed(np.eye(n + 1)) for placed in given]
-    composite = _core.Composite(n, np.array([FREE] * 3), parts)
-    values = np.empty((*grid.shape, n), np.float32)
-    certificate = Certificate(0.0, 0.0)
-    for plane, (_, here) in zip(values.reshape(-1, *grid.shape[-2:], n), checks.planes(grid), strict=True):
-        points, status = np.zeros((len(here), 3)), np.empty(len(here), np.uint8)
-        points[:, :n] = here
-        found, _, _ = composite.through(points, False, False, status)
-        plane[...] = (found[:, :n] - here).reshape(plane.shape)
-        certificate |= certificate_of_status(status)
+    values, certificate = checks.values_at(parts, grid)
     warn_of(certificate, 1.0, 3, folds_of(given), only_name(given))
     return Field(values, grid)
 
@@ -582,7 +567,7 @@ def sampled(field: Field) -> Array:
     """Return the displacements of a field at the samples of `own_grid`."""
     if field.interpolation != "bspline":
         return field.values
-    return checks.values_at(field.packed(np.eye(field.ndim + 1)), own_grid(field))
+    return checks.values_at([Placed(field).packed(np.eye(field.ndim + 1))], own_grid(field))[0]
 
 
 def check_path(

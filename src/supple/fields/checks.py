@@ -6,7 +6,7 @@ All walks along the first axis of the arrays, a plane or two at a time.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import product
 
@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from supple import _core
+from supple.engine.sampling import Certificate, certificate_of_status
 from supple.engine.work import Array
 from supple.space.domain import FREE
 from supple.space.geometry import Floats, Grid
@@ -99,8 +100,7 @@ def log_jacobian(values: Array, grid: Grid) -> npt.NDArray[np.float32]:
     """
     made = np.empty(grid.shape, np.float32)
     for k in range(len(values)):
-        steps = [(_slope(values, k) if axis == 0 else _slopes(values[k], axis - 1)) for axis in range(grid.ndim)]
-        found = _determinant(steps[::-1], grid)
+        found = _determinant([(ahead + behind) / 2 for ahead, behind in _steps(values, k)], grid)
         with np.errstate(divide="ignore", invalid="ignore"):
             made[k] = np.where(found > 0, np.log(found), np.nan)
     return made
@@ -109,30 +109,12 @@ def log_jacobian(values: Array, grid: Grid) -> npt.NDArray[np.float32]:
 def least_at_corners(values: Array, grid: Grid) -> tuple[float, Floats]:
     """Return the least determinant at the corners of all cells, from inside each, and the index of that sample."""
     least, index = math.inf, np.zeros(grid.ndim)
-    rest = grid.ndim - 1
-    for k in range(max(len(values) - 1, 1)):
-        slab = values[k : k + 2].astype(np.float64)
-        edges = [np.diff(slab, axis=axis) for axis in range(grid.ndim)]
-        for corner in product(range(2), repeat=grid.ndim):
-            if any(c and n == 1 for c, n in zip(corner, slab.shape, strict=False)):
-                continue  # an axis of one sample has no second corner
-            steps = []
-            for axis, edge in enumerate(edges):
-                if slab.shape[axis] == 1:
-                    steps.append(np.zeros(1))
-                    continue
-                ends = [slice(c, c + max(n - 1, 1)) for c, n in zip(corner, slab.shape, strict=False)]
-                ends[axis] = slice(None)
-                steps.append(edge[tuple(ends)])
-            found = _determinant(steps[::-1], grid)
-            if not found.shape:
-                found = found.reshape((1,) * grid.ndim)
-            flat = int(found.argmin())
-            if found.flat[flat] < least:
-                least = float(found.flat[flat])
-                place = np.unravel_index(flat, found.shape)
-                first = np.array([k, *([0] * rest)]) + corner
-                index = np.add(place, first)[::-1].astype(np.float64)
+    for k in range(len(values)):
+        for steps in product(*_steps(values, k)):  # towards each of the cells at a sample
+            found = _determinant(steps, grid)
+            if found.min() < least:
+                place = np.unravel_index(found.argmin(), found.shape)
+                least, index = float(found.min()), np.array([k, *place], np.float64)[::-1]
     return least, index
 
 
@@ -140,7 +122,7 @@ def least_at_samples(packed: _core.Sampled, grid: Grid) -> tuple[float, Floats]:
     """Return the least determinant of an interpolant at the samples of a grid, and the index of that sample."""
     least, index = math.inf, np.zeros(grid.ndim)
     for indices, points in planes(grid, _INWARDS):
-        _, matrices = _through([packed], points, grid.ndim, jacobian=True)
+        _, matrices, _ = through([("field", packed, False)], points, jacobian=True)
         found = np.linalg.det(matrices)
         flat = int(found.argmin())
         if found[flat] < least:
@@ -148,12 +130,14 @@ def least_at_samples(packed: _core.Sampled, grid: Grid) -> tuple[float, Floats]:
     return least, index
 
 
-def values_at(packed: _core.Sampled, grid: Grid) -> npt.NDArray[np.float32]:
-    """Return the displacements of an interpolant at the samples of a grid."""
-    made = np.empty((*grid.shape, grid.ndim), np.float32)
+def values_at(parts: Sequence[_core.Part], grid: Grid) -> tuple[npt.NDArray[np.float32], Certificate]:
+    """Return the displacements of maps, one after the other, at the samples of a grid, and the certificate."""
+    made, certificate = np.empty((*grid.shape, grid.ndim), np.float32), Certificate()
     for plane, (_, points) in zip(made.reshape(-1, *grid.shape[-2:], grid.ndim), planes(grid), strict=True):
-        plane[...] = (_through([packed], points, grid.ndim)[0] - points).reshape(plane.shape)
-    return made
+        found, _, own = through(parts, points)
+        plane[...] = (found - points).reshape(plane.shape)
+        certificate |= own
+    return made, certificate
 
 
 def displacements(values: Array) -> tuple[float, float]:
@@ -176,10 +160,10 @@ def distances(
     made = np.empty(grid.shape, np.float32)
     last = np.array(within.sizes) - 1 + margin + _WITHIN
     for plane, (_, points) in zip(made.reshape(-1, *grid.shape[-2:]), planes(grid), strict=True):
-        there, _ = _through([first], points, grid.ndim)
+        there = through([("field", first, False)], points)[0]
         places = within.indices(there)
         inside = ((places >= -margin - _WITHIN) & (places <= last)).all(axis=-1)
-        back, _ = _through([second], there, grid.ndim)
+        back = through([("field", second, False)], there)[0]
         off = np.linalg.norm(back - points, axis=-1)
         plane[...] = np.where(inside, off, np.nan).reshape(plane.shape)
     return made
@@ -208,41 +192,35 @@ def planes(grid: Grid, inwards: float = 0.0) -> Iterator[tuple[Floats, Floats]]:
         yield within, grid.positions(within)
 
 
-def _slopes(values: Array, axis: int) -> Floats:
-    """Return central differences along an axis, one-sided at its ends."""
-    given = np.moveaxis(values, axis, 0).astype(np.float64)
-    made = np.zeros_like(given)
-    if len(given) > 1:
-        made[1:-1] = (given[2:] - given[:-2]) / 2
-        made[0], made[-1] = given[1] - given[0], given[-1] - given[-2]
-    return np.moveaxis(made, 0, axis)
+def _steps(values: Array, k: int) -> list[tuple[Floats, Floats]]:
+    """Return differences of plane k to the samples ahead and behind along each axis, x first; at an end, to the one."""
+    near = values[max(k - 1, 0) : k + 2].astype(np.float64)
+    here, made = near[min(k, 1)], []
+    for axis in reversed(range(here.ndim - 1)):
+        steps, index = np.diff(here, axis=axis), np.arange(here.shape[axis])
+        none = np.zeros_like(here)  # of an axis of one sample
+        behind, ahead = np.maximum(index - 1, 0), np.minimum(index, len(index) - 2)
+        made.append((steps.take(ahead, axis), steps.take(behind, axis)) if len(index) > 1 else (none, none))
+    steps = np.diff(near, axis=0) if len(near) > 1 else np.zeros_like(near)
+    return [*made, (steps[-1], steps[0])]
 
 
-def _slope(values: Array, k: int) -> Floats:
-    """Return the central difference along the first axis at one index."""
-    low, high = max(k - 1, 0), min(k + 1, len(values) - 1)
-    return np.asarray((values[high].astype(np.float64) - values[low]) / max(high - low, 1))
-
-
-def _determinant(steps: list[Floats], grid: Grid) -> Floats:
+def _determinant(steps: Sequence[Floats], grid: Grid) -> Floats:
     """Return det(I + ∂u/∂x) from the differences of u from sample to sample along each axis, x first."""
     matrix = grid.matrix[:-1, :-1]
-    columns = [step + matrix[:, axis] for axis, step in enumerate(steps)]
-    whole = float(np.linalg.det(matrix))
-    if grid.ndim == 2:
-        a, b = columns
-        return np.asarray((a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]) / whole)
-    a, b, c = columns
-    found = a[..., 0] * (b[..., 1] * c[..., 2] - b[..., 2] * c[..., 1])
-    found = found + a[..., 1] * (b[..., 2] * c[..., 0] - b[..., 0] * c[..., 2])
-    found = found + a[..., 2] * (b[..., 0] * c[..., 1] - b[..., 1] * c[..., 0])
-    return np.asarray(found / whole)
+    a, b, *c = (step + matrix[:, axis] for axis, step in enumerate(steps))
+    whole = (a * np.cross(b, c[0])).sum(axis=-1) if c else a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
+    return np.asarray(whole / float(np.linalg.det(matrix)))
 
 
-def _through(parts: list[_core.Sampled], points: Floats, n: int, *, jacobian: bool = False) -> tuple[Floats, Floats]:
-    """Return points mapped by fields, and the derivatives or an empty array."""
-    composite = _core.Composite(n, np.array([FREE] * 3), [("field", part, False) for part in parts])
-    whole, status = np.zeros((len(points), 3)), np.empty(len(points), np.uint8)
+def through(
+    parts: Sequence[_core.Part], points: Floats, *, jacobian: bool = False
+) -> tuple[Floats, Floats, Certificate]:
+    """Return points (N, D) mapped by maps, one after the other; the derivatives, or an empty array; the certificate."""
+    n, status = points.shape[1], np.zeros(len(points), np.uint8)
+    composite = _core.Composite(n, np.array([FREE] * 3), list(parts))
+    whole = np.zeros((len(points), 3))
     whole[:, :n] = points
     moved, matrices, _ = composite.through(whole, False, jacobian, status)
-    return moved[:, :n], np.empty(0) if matrices is None else matrices[:, :n, :n]
+    slopes = np.empty(0) if matrices is None else matrices[:, :n, :n]
+    return moved[:, :n], slopes, certificate_of_status(status)

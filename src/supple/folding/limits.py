@@ -37,7 +37,6 @@ from supple.folding.resolved import (
     FREE_ENOUGH,
     MOST_SUBSTROKES,
     SQUEEZED,
-    Floats,
     Resolved,
     Table,
     all_the_way,
@@ -51,10 +50,13 @@ from supple.folding.resolved import (
     narrowest,
     padded,
     spelled,
+    too_many,
     too_narrow,
 )
 from supple.folding.strain import CLEARLY_SAFE, GAP, MARGIN, largest, limit, sampled, weakest
+from supple.space.checks import Vector
 from supple.space.domain import Domain
+from supple.space.geometry import Floats
 from supple.strokes import FoldPolicy, Stroke, legs, matrix_of, pack, poisson_of, stretch_of
 
 NEAR = 0.5
@@ -237,10 +239,7 @@ def _turned(stroke: Stroke, domain: Domain, on_fold: FoldPolicy) -> Resolved:
         while lower < (FLOW_MARGIN - 1) * (1 + 1e-9):
             pieces = max(pieces + 1, math.ceil(pieces * min(-lower / (1 - FLOW_MARGIN), 1e4) * (1 - FLOW_GAP)))
             if pieces > MOST_SUBSTROKES:
-                raise SuppleError(
-                    f"{described(stroke)} would take more than {MOST_SUBSTROKES} strokes to arrive without a fold; use "
-                    f"a point further from the border, or {argument('on_fold', 'damp')}"
-                )
+                raise SuppleError(f"{described(stroke)} {too_many()}")
             lower = lowest(1 / pieces, FLOW_MARGIN - 1, FLOW_GAP)
         table, start = np.repeat(rows(1 / pieces), pieces), padded(stroke.at, domain)
         ways = np.tile(start, (3, 1)), stroke.radius * np.eye(3)
@@ -280,10 +279,9 @@ def _narrowness(row: np.void) -> float:
     return math.hypot(1, half) - half
 
 
-def _arrived(stroke: Stroke, table: Table, domain: Domain) -> tuple[float, ...]:
+def _arrived(stroke: Stroke, table: Table, domain: Domain) -> Vector:
     """Return the position of the stroke's point after these rows, in samples."""
-    moved, _ = _core.forward(numbers(table), domain.packed(), padded(stroke.at, domain)[None], False, mask_of(domain))
-    return tuple((moved[0, : domain.ndim] / domain.spacing).tolist())
+    return tuple((_moved(table, domain, padded(stroke.at, domain)[None])[0, : domain.ndim] / domain.spacing).tolist())
 
 
 def _flow(stroke: Stroke, domain: Domain, table: Table) -> Resolved:
@@ -331,23 +329,11 @@ def _flow(stroke: Stroke, domain: Domain, table: Table) -> Resolved:
         margin = min(margin, 1 + lower / pieces)
         rows.append(numbers(table).copy())
     if refused:
-        raise SuppleError(
-            f"{described(stroke)} would take more than {MOST_SUBSTROKES} strokes to arrive without a fold; "
-            f"use a larger radius, or {argument('on_fold', 'damp')}"
-        )
+        raise SuppleError(f"{described(stroke)} {too_many()}")
     table = np.concatenate(rows).view(table.dtype)[:, 0]  # as numbers: NumPy is slow to join records
     # No row's singular values are below its margin, nor those of all rows below the margins' product.
     if margin ** len(rows) < SQUEEZED and narrowest(table, domain, table[:1]["pivot"], drag[None]) < SQUEEZED:
-        if not held:
-            raise SuppleError(
-                f"{described(stroke)} starts outside, where nothing is held, and squeezes what lies on its way against "
-                f"the fixed border; use a point inside, {argument('border', None)}, or {argument('on_fold', 'damp')}"
-            )
-        raise SuppleError(
-            f"{described(stroke)} squeezes what lies before it more than {1 / SQUEEZED:g} times, which could not be "
-            f"undone; use a target farther from the fixed border, a wider border or {argument('border', None)}, or "
-            f"{argument('on_fold', 'damp')}"
-        )
+        raise SuppleError(f"{described(stroke)} {too_narrow()}")
     arrived = _arrived(stroke, table, domain)
     return Resolved(table, arrived, margin=margin, cause=None if held else "outside")
 
@@ -356,9 +342,8 @@ def pulled(stroke: Stroke, domain: Domain, on_fold: FoldPolicy) -> Resolved:
     """Resolve a grab of several handles: forces f_j at the handles, with Σ_j K_ij f_j the displacement of each."""
     axes = domain.packed()
     one = pack([replace(stroke, also=())], domain.spacing, time=domain.time)
-    handles = np.array(stroke.handles) * domain.spacing  # of each, the point and the drag
-    table = np.repeat(one, len(handles))
-    table["pivot"][:, : domain.ndim], table["force"][:, : domain.ndim] = handles[:, 0], handles[:, 1]
+    table = np.repeat(one, len(stroke.handles))
+    table["pivot"], table["force"] = (padded(some, domain) for some in zip(*stroke.handles, strict=True))
     table["joined"][1:] = 1
     start, goal = table["pivot"].copy(), table["pivot"] + table["force"]
     frozen = np.minimum(freedom_at(start, domain), freedom_at(goal, domain)) <= FREE_ENOUGH
@@ -404,8 +389,7 @@ def _without(stroke: Stroke, frozen: npt.NDArray[np.bool_], domain: Domain, on_f
             raise type(error)(f"without the handles that are frozen, {error}") from None
     else:
         made = Resolved(pack([stroke], domain.spacing, time=domain.time)[:0], stroke.at)
-    position = _moved(made.rows, domain, padded(stroke.at, domain)[None])[0]
-    arrived = tuple((position[: domain.ndim] / domain.spacing).tolist())
+    arrived = _arrived(stroke, made.rows, domain)
     cause = "fold and freeze" if made.cause == "fold" else "freeze"
     return replace(made, arrived=arrived, cause=cause, warning="; ".join(filter(None, (warning, made.warning))))
 
@@ -468,8 +452,8 @@ def _check_arrival(stroke: Stroke, domain: Domain, found: Floats, start: Floats,
 def _check_handles(stroke: Stroke, start: Floats, goal: Floats, domain: Domain, *, arrives: bool) -> None:
     """Refuse handles that cannot arrive: at one place, or on a fixed edge; with one target, if all is to arrive."""
     axes = domain.packed()
-    places: dict[tuple[float, ...], int] = {}
-    targets: dict[tuple[float, ...], int] = {}
+    places: dict[Vector, int] = {}
+    targets: dict[Vector, int] = {}
     first, last = axes[:, 0], axes[:, 1]
     fixed, beta = axes[:, 2] >= 0, beta_at(start, axes)
     for i, (a, b) in enumerate(zip(start, goal, strict=True)):

@@ -15,9 +15,9 @@ from supple._core.rows import numbers
 from supple.engine.work import mask_of
 from supple.errors import OutsideWarning, argument, caller, current_spelling, numbered, shown
 from supple.space.domain import Domain, border_factor
+from supple.space.geometry import Floats
 from supple.strokes import Stroke
 
-Floats = npt.NDArray[np.float64]
 Table = npt.NDArray[np.void]
 
 MOST_SUBSTROKES = 10_000
@@ -32,6 +32,14 @@ def too_narrow() -> str:
     return (
         f"squeezes what lies around it more than {1 / SQUEEZED:g} times, which could not be undone; use a larger "
         f"radius, a point farther from the fixed border or what is frozen, or {argument('on_fold', 'damp')}"
+    )
+
+
+def too_many() -> str:
+    """Return what is wrong with a stroke that would take too many steps."""
+    return (
+        f"would take more than {MOST_SUBSTROKES} strokes to arrive without a fold; use a larger radius, a point "
+        f"further from the border, or {argument('on_fold', 'damp')}"
     )
 
 
@@ -165,8 +173,5 @@ def narrowest(table: Table, domain: Domain, starts: Floats, drags: Floats) -> fl
     _, jacobian = _core.forward(numbers(table), axes, np.ascontiguousarray(points.T), True, mask_of(domain))
     if not np.isfinite(jacobian).all():
         return 0.0
-    if axes[2, 1] == axes[2, 0] and axes[2, 2] < 0:  # for an image, only the plane counts
-        (a, b), (c, d) = jacobian[:, :2, :2].transpose(1, 2, 0)
-        widest = 0.5 * (np.hypot(a + d, b - c) + np.hypot(a - d, b + c))
-        return float((np.abs(a * d - b * c) / np.maximum(widest, 1e-300)).min())
-    return float(np.linalg.svd(jacobian, compute_uv=False).min())
+    n = 2 if axes[2, 1] == axes[2, 0] and axes[2, 2] < 0 else 3  # for an image, only the plane counts
+    return float(np.linalg.svd(jacobian[:, :n, :n], compute_uv=False).min())

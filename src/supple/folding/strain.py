@@ -15,9 +15,9 @@ import numpy.typing as npt
 from supple import _core
 from supple._core.rows import numbers
 from supple.space.checks import LARGEST
+from supple.space.geometry import Floats
 from supple.strokes import Stroke, pack
 
-Floats = npt.NDArray[np.float64]
 Table = npt.NDArray[np.void]
 
 MARGIN = 0.01

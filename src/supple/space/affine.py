@@ -10,8 +10,7 @@ import numpy.typing as npt
 
 from supple.errors import SuppleError
 from supple.space.checks import refuse
-
-Floats = npt.NDArray[np.float64]
+from supple.space.geometry import Floats
 
 
 @dataclass(frozen=True, slots=True, eq=False, init=False)
@@ -35,17 +34,10 @@ class Affine:
     def __init__(self, matrix: npt.ArrayLike) -> None:
         wanted = "an array of shape (3, 3) or (2, 3) for pictures, (4, 4) or (3, 4) for volumes"
         try:
-            given = np.asarray(matrix)
-            if given.dtype.kind == "c":
-                refuse("matrix", wanted, told="complex numbers")
-            given = np.array(given, np.float64)
+            given = np.asarray(matrix).astype(np.float64, casting="same_kind")  # a copy, and no complex numbers
         except (TypeError, ValueError):
             refuse("matrix", wanted, matrix)
-        if (
-            given.ndim != 2
-            or given.shape[1] not in (3, 4)
-            or given.shape[0] not in (given.shape[1] - 1, given.shape[1])
-        ):
+        if given.shape not in ((2, 3), (3, 3), (3, 4), (4, 4)):
             refuse("matrix", wanted, told=f"shape {given.shape}")
         n = given.shape[1] - 1
         if len(given) == n:

@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import operator
 import reprlib
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from numbers import Real
 from typing import Any, NoReturn, SupportsIndex
 
 import numpy as np
 
 from supple.errors import SuppleError, argument, none
+
+Vector = tuple[float, ...]
+"""One number for each axis, x first."""
+Shape = tuple[int, ...]
 
 # Fields contain fifth powers of lengths, which neither overflow nor vanish in float64 within these bounds.
 SMALLEST = 1e-30
@@ -19,15 +23,7 @@ LENGTH = f"a number above 0 (from {SMALLEST:g} to {LARGEST:g})"
 LONGEST_AXIS = 2**31 - 1
 
 
-class _Short(reprlib.Repr):
-    def repr_int(self, x: int, level: int) -> str:
-        if x.bit_length() <= 64:
-            return repr(x)
-        # Python refuses to print integers of more than a few thousand digits.
-        return f"an integer of about {int(x.bit_length() * 0.30103) + 1} digits"
-
-
-_SHORT = _Short()
+_SHORT = reprlib.Repr()
 _SHORT.maxstring = _SHORT.maxother = 60
 
 
@@ -76,7 +72,7 @@ def integer(name: str, value: object, wanted: str, low: int, high: int) -> int:
     return checked
 
 
-def items(name: str, value: object, wanted: str, lengths: tuple[int, ...]) -> list[Any]:
+def items(name: str, value: object, wanted: str, lengths: Shape) -> list[Any]:
     """Return the items of a sequence or 1-D array with one of ``lengths``; SuppleError for other values."""
     if isinstance(value, np.ndarray) and value.ndim == 1:
         value = value.tolist()
@@ -86,7 +82,20 @@ def items(name: str, value: object, wanted: str, lengths: tuple[int, ...]) -> li
     return list(value)
 
 
-def point(name: str, value: object, lengths: tuple[int, ...] = (2, 3)) -> tuple[float, ...]:
+def listed(name: str, value: object, wanted: str) -> tuple[Any, ...]:
+    """Return the items of any iterable but text; SuppleError for other values."""
+    if not isinstance(value, Iterable) or isinstance(value, str | bytes):
+        refuse(name, wanted, value)
+    return tuple(value)
+
+
+def assign(frozen: object, **values: object) -> None:
+    """Set fields of a frozen value, while it is made."""
+    for name, value in values.items():
+        object.__setattr__(frozen, name, value)
+
+
+def point(name: str, value: object, lengths: Shape = (2, 3)) -> Vector:
     """Return ``value`` as the coordinates of a point; SuppleError for other values."""
     numbers = items(name, value, f"{' or '.join(map(str, lengths))} numbers, x first", lengths)
     wanted = f"a number from {-LARGEST:g} to {LARGEST:g}"
@@ -106,14 +115,14 @@ def flag(name: str, value: object) -> bool:
     return bool(value)
 
 
-def colours_hint(shape: tuple[int, ...]) -> str:
+def colours_hint(shape: Shape) -> str:
     """Return a hint for the message if the last of three axes may be colours."""
     if len(shape) != 3 or shape[2] not in (3, 4):
         return ""
     return f" (if the last axis of {shape} is colours, make the deformation with shape[:2])"
 
 
-def checked_shape(shape: object) -> tuple[int, ...]:
+def checked_shape(shape: object) -> Shape:
     """Return ``shape`` as two or three sizes; SuppleError for other values."""
     wanted = "two or three sizes, (H, W), (T, H, W) or (Z, H, W)"
     sizes = items("shape", shape, wanted, (2, 3))
@@ -121,7 +130,7 @@ def checked_shape(shape: object) -> tuple[int, ...]:
     return tuple(integer(f"shape[{i}]", size, within, 1, LONGEST_AXIS) for i, size in enumerate(sizes))
 
 
-def checked_spacing(spacing: object, ndim: int) -> tuple[float, ...]:
+def checked_spacing(spacing: object, ndim: int) -> Vector:
     """Return ``spacing`` as one length for each axis, x first; SuppleError for other values."""
     if isinstance(spacing, Real):
         return (length("spacing", spacing),) * ndim

@@ -14,6 +14,8 @@ from supple.space.checks import (
     LARGEST,
     LENGTH,
     SMALLEST,
+    Vector,
+    assign,
     checked_shape,
     checked_spacing,
     choice,
@@ -27,7 +29,7 @@ from supple.space.freezing import Freeze
 
 AUTO = 0.1  # the border's width for border="auto", as a fraction of each axis' extent
 
-Border = Literal["auto"] | float | tuple[float, ...] | None
+Border = Literal["auto"] | float | Vector | None
 BorderProfile = Literal["quartic", "sine"]
 PROFILE_CODES: dict[str, float] = {"quartic": 0.0, "sine": 1.0}
 """The codes of the border profiles in the packed domain."""
@@ -86,7 +88,7 @@ class Domain:
     """
 
     shape: tuple[int, ...]
-    spacing: tuple[float, ...]
+    spacing: Vector
     border: Border
     border_profile: BorderProfile
     time: bool
@@ -101,20 +103,14 @@ class Domain:
         time: bool = False,
         freeze: Freeze | None = None,
     ) -> None:
-        sizes = checked_shape(shape)
-        object.__setattr__(self, "shape", sizes)
-        object.__setattr__(self, "spacing", checked_spacing(spacing, len(sizes)))
-        checked = checked_border(border)
+        sizes, checked = checked_shape(shape), checked_border(border)
         if isinstance(checked, tuple) and len(checked) != len(sizes):
             refuse("border", f"one width, or {len(sizes)} of them (x first) for a shape of {len(sizes)} axes", border)
         if isinstance(checked, tuple) and len(set(checked)) == 1:  # equal domains compare equal
             checked = checked[0]
-        object.__setattr__(self, "border", checked)
         if flag("time", time) and len(sizes) == 2:
             refuse("time", "False for a shape of two axes, which is an image", time)
-        object.__setattr__(self, "time", bool(time))
         check_border_profile(border_profile)
-        object.__setattr__(self, "border_profile", border_profile)
         if freeze is not None and freeze.ndim != len(sizes) and not (time and freeze.ndim == 2):
             held, kind = "a picture" if freeze.ndim == 2 else "a volume", "picture" if len(sizes) == 2 else "volume"
             raise SuppleError(f"{freeze.told} is {held}, and what is deformed is none: give a {kind} of its size")
@@ -123,7 +119,9 @@ class Domain:
             raise SuppleError(
                 f"{freeze.told} is of {found} samples, and what is deformed of {wanted}: give a mask of its size"
             )
-        object.__setattr__(self, "freeze", freeze)
+        spacing = checked_spacing(spacing, len(sizes))
+        assign(self, shape=sizes, spacing=spacing, border=checked, time=bool(time), freeze=freeze)
+        assign(self, border_profile=border_profile)
 
     @property
     def ndim(self) -> int:
@@ -143,12 +141,12 @@ class Domain:
         )
 
     @property
-    def extent(self) -> tuple[float, ...]:
+    def extent(self) -> Vector:
         """The distance from face to face, in physical units, x first."""
         return tuple(last - first for first, last in self.faces)
 
     @property
-    def border_widths(self) -> tuple[float, ...] | None:
+    def border_widths(self) -> Vector | None:
         """The width of the fixed border along each axis, in physical units, x first; None if it is free."""
         if self.border is None:
             return None

@@ -14,9 +14,20 @@ import numpy as np
 import numpy.typing as npt
 
 from supple.errors import SuppleError, shown
-from supple.space.checks import LARGEST, LONGEST_AXIS, checked_shape, integer, items, length, number, refuse
+from supple.space.checks import (
+    LONGEST_AXIS,
+    Shape,
+    Vector,
+    assign,
+    checked_shape,
+    integer,
+    items,
+    length,
+    point,
+    refuse,
+)
+from supple.space.geometry import Floats
 
-Floats = npt.NDArray[np.float64]
 Rows = npt.NDArray[np.float32]
 Lattice = tuple[int, float, float]  # coefficients along an axis, the position of the first, and the step
 
@@ -62,34 +73,32 @@ class Freeze:
         If they do not fit together.
     """
 
-    samples: tuple[int, ...]
-    size: tuple[int, ...]
-    first: tuple[float, ...]
-    step: tuple[float, ...]
+    samples: Shape
+    size: Shape
+    first: Vector
+    step: Vector
     values: bytes = field(repr=False)
-    place: tuple[float, ...] = ()
+    place: Vector = ()
     name: str = field(default="", compare=False, repr=False)
 
     def __post_init__(self) -> None:
-        wanted = f"1 or an integer from {_LEAST} on"
-        sizes = items("freeze size", self.size, "two or three numbers, x first", (2, 3))
-        sizes = [integer("freeze size", n, wanted, 1, 2**20) for n in sizes]
+        wanted, within = f"1 or an integer from {_LEAST} on", f"an integer from 1 to {LONGEST_AXIS}"
+        given = items("freeze size", self.size, "two or three numbers, x first", (2, 3))
+        sizes = tuple(integer("freeze size", n, wanted, 1, 2**20) for n in given)
         if any(1 < n < _LEAST for n in sizes):
             refuse("freeze size", wanted, self.size)
-        n = len(sizes)
-        object.__setattr__(self, "size", tuple(sizes))
-        samples = items("freeze samples", self.samples, f"{n} numbers, x first", (n,))
-        within = f"an integer from 1 to {LONGEST_AXIS}"
-        object.__setattr__(
-            self, "samples", tuple(integer("freeze samples", k, within, 1, LONGEST_AXIS) for k in samples)
+        one, each = (len(sizes),), f"{len(sizes)} numbers, x first"
+        assign(
+            self,
+            size=sizes,
+            samples=tuple(
+                integer("freeze samples", k, within, 1, LONGEST_AXIS)
+                for k in items("freeze samples", self.samples, each, one)
+            ),
+            first=point("freeze first", self.first, one),
+            step=tuple(length("freeze step", x) for x in items("freeze step", self.step, each, one)),
+            place=point("freeze place", self.place, (0, 12)),
         )
-        within = f"a number from {-LARGEST:g} to {LARGEST:g}"
-        place = items("freeze place", self.place, "12 numbers, or none", (0, 12))
-        object.__setattr__(self, "place", tuple(number("freeze place", x, within, -LARGEST, LARGEST) for x in place))
-        first = items("freeze first", self.first, f"{n} numbers, x first", (n,))
-        object.__setattr__(self, "first", tuple(number("freeze first", x, within, -LARGEST, LARGEST) for x in first))
-        step = items("freeze step", self.step, f"{n} numbers, x first", (n,))
-        object.__setattr__(self, "step", tuple(length("freeze step", x) for x in step))
         for size, count, apart in zip(self.size, self.samples, self.step, strict=True):
             if size > _MOST_ACROSS * (count / apart + _LEAST + 2 * _EDGE):
                 raise SuppleError(f"freeze size must fit {count} samples that are {apart:g} apart, found {size}")
@@ -143,15 +152,13 @@ class Freeze:
         checked_shape(array.shape)
         steps = (spacing,) * array.ndim if isinstance(spacing, float | int) else tuple(spacing)
         apart = _apart(array.shape, steps, width, "matte" if matte else "freeze mask")
-        least = _freedom_of(array)
-        if matte:
-            least = _FREE - least
-        first = []
-        for axis in range(array.ndim):
-            least, start = _covered(least, axis, apart[array.ndim - 1 - axis])
-            first.append(start)
-        sizes, samples = tuple(reversed(least.shape)), tuple(reversed(array.shape))
-        return cls(samples, sizes, tuple(reversed(first)), apart, least.tobytes(), tuple(place), name)
+        least = _FREE - _freedom_of(array) if matte else _freedom_of(array)
+        lattices = [_lattice(n, step) for n, step in zip(reversed(array.shape), apart, strict=True)]
+        for axis, lattice in enumerate(reversed(lattices)):
+            least = _covered(least, axis, lattice)
+        _level(least)
+        sizes, first, _ = zip(*lattices, strict=True)
+        return cls(array.shape[::-1], sizes, first, apart, least.tobytes(), tuple(place), name)
 
     @classmethod
     def matte_of(
@@ -180,12 +187,8 @@ class Freeze:
     def free(cls, shape: Sequence[int], spacing: Sequence[float]) -> Self:
         """Return the freeze mask of an image or a volume in which nothing is frozen, as `of` would make it."""
         samples, apart = tuple(reversed(shape)), _apart(shape, spacing, None)
-        size, first = [], []
-        for n, step in zip(samples, apart, strict=True):
-            begin, end = _ends(n, step)
-            size.append(1 if n == 1 else end - begin + 1 + 2 * _EDGE)
-            first.append(0.0 if n == 1 else (begin - _EDGE) * step)
-        return cls(samples, tuple(size), tuple(first), apart, bytes([_FREE]) * math.prod(size))
+        size, first, _ = zip(*map(_lattice, samples, apart), strict=True)
+        return cls(samples, size, first, apart, bytes([_FREE]) * math.prod(size))
 
     @property
     def ndim(self) -> int:
@@ -213,7 +216,7 @@ class Freeze:
         return replace(self, values=bytes([_FREE]) * len(self.values))
 
     @property
-    def middle(self) -> tuple[float, ...]:
+    def middle(self) -> Vector:
         """The middle of what is frozen, in samples, x first; of all if nothing is."""
         held = 1.0 - self.coefficients / _FREE if not self.is_free else np.ones(self.coefficients.shape)
         found = []
@@ -398,7 +401,7 @@ class Freeze:
         return cls(**{**entry, "values": values})
 
 
-def _apart(shape: Sequence[int], spacing: Sequence[float], width: float | None, of: str = "") -> tuple[float, ...]:
+def _apart(shape: Sequence[int], spacing: Sequence[float], width: float | None, of: str = "") -> Vector:
     """Return the samples from one coefficient to the next for a width of the fade, or for the usual one."""
     least = _SHORTEST * min(spacing)
     if width is None:
@@ -410,56 +413,37 @@ def _apart(shape: Sequence[int], spacing: Sequence[float], width: float | None, 
     return tuple(max(width / 4 / step, 1.0) for step in spacing)
 
 
-def _ends(n: int, step: float) -> tuple[int, int]:
-    """Return the first and the last coefficient for samples along an axis, beside those that repeat them."""
-    return -1, math.ceil((n - 1) / step) + 1
+def _lattice(n: int, step: float) -> Lattice:
+    """Return the lattice of coefficients for n samples along an axis, of which the outermost repeat others."""
+    return (1, 0.0, step) if n == 1 else (math.ceil((n - 1) / step) + 3 + 2 * _EDGE, (-1 - _EDGE) * step, step)
 
 
 def _freedom_of(mask: npt.NDArray[Any]) -> npt.NDArray[np.uint8]:
     """Return the freedom of samples, 255 for all of it."""
-    if mask.dtype.kind == "b":
-        return np.where(mask, 0, _FREE).astype(np.uint8)
-    if mask.dtype.kind == "f":
-        if not (mask.min() >= 0 and mask.max() <= 1):  # also for NaN
-            refuse("freeze", "an array of values from 0 to 1 (frozen)", told=f"from {mask.min():g} to {mask.max():g}")
-        return np.floor((1 - mask.astype(np.float64)) * _FREE).astype(np.uint8)
-    white, low, high = np.iinfo(mask.dtype).max, mask.min(), mask.max()
-    if low < 0:
-        refuse("freeze", f"an array of values from 0 to {white} (frozen)", told=f"down to {low}")
-    if low < high and np.all((mask == low) | (mask == high)):
-        return np.where(mask == high, 0, _FREE).astype(np.uint8)
-    if white > np.iinfo(np.uint32).max:  # the product would not fit
-        return np.floor((1 - mask / white) * _FREE).astype(np.uint8)
-    return np.asarray((white - mask.astype(np.int64)) * _FREE // white, np.uint8)
+    low, high, white = mask.min(), mask.max(), 1 if mask.dtype.kind in "bf" else np.iinfo(mask.dtype).max
+    if not (low >= 0 and high <= white):  # also for NaN
+        refuse("freeze", f"an array of values from 0 to {white} (frozen)", told=f"from {low:g} to {high:g}")
+    if mask.dtype.kind in "iu" and low < high and np.all((mask == low) | (mask == high)):
+        mask, white = mask == high, 1
+    return np.floor((white - mask.astype(np.float64)) * _FREE / white).astype(np.uint8)
 
 
-def _covered(least: npt.NDArray[np.uint8], axis: int, step: float) -> tuple[npt.NDArray[np.uint8], float]:
-    """Return the least of the samples that each coefficient's spline covers along an axis, and the first's position."""
-    n = least.shape[axis]
-    if n == 1:
-        return least, 0.0
-    first, last = _ends(n, step)
-    rows = []
-    for k in range(first, last + 1):
-        # And half a sample more, where the chroma of frozen pixels may lie.
-        start, end = math.ceil((k - 2) * step - 0.5), math.floor((k + 2) * step + 0.5)
-        covered = np.take(least, range(max(start, 0), min(end, n - 1) + 1), axis)
-        rows.append(covered.min(axis, keepdims=True))
-    rows = [rows[0]] * _EDGE + rows + [rows[-1]] * _EDGE
-    return np.concatenate(rows, axis), (first - _EDGE) * step
+def _covered(values: npt.NDArray[Any], axis: int, lattice: Lattice) -> npt.NDArray[Any]:
+    """Return the least of the samples that the spline of each coefficient covers along an axis."""
+    (size, first, step), n = lattice, values.shape[axis]
+    places = first + step * np.arange(size)
+    # And half a sample more, where the chroma of frozen pixels may lie.
+    low = np.clip(np.ceil(places - 2 * step - 0.5), 0, n - 1).astype(int)
+    high = np.clip(np.floor(places + 2 * step + 0.5), 0, n - 1).astype(int)
+    rows = [np.take(values, range(a, max(a, b) + 1), axis) for a, b in zip(low, high, strict=True)]
+    return np.concatenate([row.min(axis, keepdims=True) for row in rows], axis)
 
 
 def _moved(values: Rows, axis: int, n: int, old: Lattice, new: Lattice) -> Rows:
     """Return coefficients on another lattice along an axis of n samples: the least m that the spline of each covers."""
     if axis and values.ndim == 3:  # plane by plane, as all of a clip may not fit
         return np.stack([_moved(plane, axis - 1, n, old, new) for plane in values])
-    m = np.moveaxis(np.tensordot(_weights(np.arange(n), *old), values, (1, axis)), 0, axis)
-    size, first, step = new
-    places = first + step * np.arange(size)
-    low = np.clip(np.ceil(places - 2 * step - 0.5), 0, n - 1).astype(int)
-    high = np.clip(np.floor(places + 2 * step + 0.5), 0, n - 1).astype(int)
-    rows = [np.take(m, range(a, max(a, b) + 1), axis).min(axis, keepdims=True) for a, b in zip(low, high, strict=True)]
-    return np.concatenate(rows, axis)
+    return _covered(np.moveaxis(np.tensordot(_weights(np.arange(n), *old), values, (1, axis)), 0, axis), axis, new)
 
 
 def _level(made: npt.NDArray[np.uint8]) -> None:

@@ -12,7 +12,18 @@ import numpy as np
 import numpy.typing as npt
 
 from supple.errors import SuppleError
-from supple.space.checks import checked_shape, checked_spacing, choice, integer, items, point, refuse
+from supple.space.checks import (
+    Shape,
+    Vector,
+    assign,
+    checked_shape,
+    checked_spacing,
+    choice,
+    integer,
+    items,
+    point,
+    refuse,
+)
 
 Floats = npt.NDArray[np.float64]
 
@@ -64,8 +75,7 @@ class Geometry:
             raise SuppleError("a volume's origin and direction must be finite")
         _check_direction(direction, "the volume's axes")
         direction.flags.writeable = False
-        for name, value in (("spacing", spacing), ("origin", origin), ("direction", direction)):
-            object.__setattr__(self, name, value)
+        assign(self, spacing=spacing, origin=origin, direction=direction)
 
     @property
     def matrix(self) -> Floats:
@@ -140,13 +150,14 @@ class Grid:
         Its columns are the directions of the axes: of unit length. By default, those of space.
     """
 
-    shape: tuple[int, ...]
-    spacing: tuple[float, ...]
-    origin: tuple[float, ...]
-    direction: tuple[tuple[float, ...], ...]
-    first: tuple[int, ...] = field(repr=False)
-    whole: tuple[int, ...] = field(repr=False)
-    start: tuple[float, ...] = field(repr=False)
+    shape: Shape
+    spacing: Vector
+    origin: Vector
+    direction: tuple[Vector, ...]
+    # Of a part of a grid: the index of its first sample in the whole, and the shape and the origin of that.
+    first: Shape = field(repr=False)
+    whole: Shape = field(repr=False)
+    start: Vector = field(repr=False)
 
     def __init__(
         self,
@@ -163,31 +174,8 @@ class Grid:
         except (TypeError, ValueError):
             refuse("direction", f"an array of shape ({n}, {n}), its columns the directions of the axes", direction)
         _check_direction(turned, "the grid's axes")
-        self._set(sizes, checked_spacing(spacing, n), start, turned, (0,) * n, sizes, start)
-
-    def _set(
-        self,
-        shape: tuple[int, ...],
-        spacing: tuple[float, ...],
-        origin: tuple[float, ...],
-        direction: Floats,
-        first: tuple[int, ...],
-        whole: tuple[int, ...],
-        start: tuple[float, ...],
-    ) -> Self:
-        """Set all values: ``start`` is the origin of the whole grid."""
-        values = {
-            "shape": shape,
-            "spacing": spacing,
-            "origin": origin,
-            "direction": tuple(tuple(row) for row in direction.tolist()),
-            "first": first,
-            "whole": whole,
-            "start": start,
-        }
-        for name, value in values.items():
-            object.__setattr__(self, name, value)
-        return self
+        assign(self, shape=sizes, spacing=checked_spacing(spacing, n), origin=start, first=(0,) * n, whole=sizes)
+        assign(self, direction=tuple(map(tuple, turned.tolist())), start=start)
 
     @property
     def ndim(self) -> int:
@@ -195,7 +183,7 @@ class Grid:
         return len(self.shape)
 
     @property
-    def sizes(self) -> tuple[int, ...]:
+    def sizes(self) -> Shape:
         """The number of samples along each axis, x first."""
         return self.shape[::-1]
 
@@ -215,8 +203,7 @@ class Grid:
     @property
     def box(self) -> Box:
         """The box around the grid, up to half a sample beyond its outermost samples."""
-        corners = np.array(list(product(*[(-0.5, size - 0.5) for size in self.sizes])))
-        places = self.positions(corners)
+        places = self.positions(self.corners(0.5))
         return places.min(axis=0), places.max(axis=0)
 
     @property
@@ -233,11 +220,14 @@ class Grid:
         if not self.shear:
             return self
         turned, steps = _squared(np.array(self.direction), self.spacing)
-        ends = np.array([*product(*[(0, size - 1) for size in self.sizes])])
-        places = self.positions(ends) @ turned
+        places = self.positions(self.corners()) @ turned
         low, high = places.min(axis=0), places.max(axis=0)
         sizes = [math.ceil(n - _SPARE) + 1 for n in ((high - low) / steps).tolist()]
         return Grid(sizes[::-1], steps.tolist(), (turned @ low).tolist(), turned)
+
+    def corners(self, beyond: float = 0.0) -> Floats:
+        """Return the indices of the corners, or of places so many samples beyond them, shape (2^D, D)."""
+        return np.array([*product(*[(0.0 - beyond, size - 1 + beyond) for size in self.sizes])])
 
     def positions(self, indices: npt.ArrayLike) -> Floats:
         """Return the positions of indices (..., D), x first."""
@@ -271,19 +261,13 @@ class Grid:
             starts[i] = integer(f"first[{i}]", starts[i], f"an index from 0 to {size - 1}", 0, size - 1)
             most = size - starts[i]
             counts[i] = integer(f"sizes[{i}]", counts[i], f"a number of samples from 1 to {most}", 1, most)
-        origin = tuple(self.positions(starts).tolist())
-        within = tuple(a + b for a, b in zip(self.first, starts, strict=True))
-        made = object.__new__(type(self))
-        return made._set(
-            tuple(counts[::-1]), self.spacing, origin, np.array(self.direction), within, self.whole, self.start
-        )
+        made = type(self)(counts[::-1], self.spacing, self.positions(starts).tolist(), self.direction)
+        assign(made, first=tuple(map(sum, zip(self.first, starts, strict=True))), whole=self.whole, start=self.start)
+        return made
 
     def uncropped(self) -> Self:
         """Return the grid that this one is a part of; itself if it is none."""
-        if self.whole == self.shape:
-            return self
-        made, first = object.__new__(type(self)), (0,) * self.ndim
-        return made._set(self.whole, self.spacing, self.start, np.array(self.direction), first, self.whole, self.start)
+        return self if self.whole == self.shape else type(self)(self.whole, self.spacing, self.start, self.direction)
 
     def resampled(self, spacing: float | Sequence[float]) -> Self:
         """Return a grid of another spacing that covers the same extent, from outer edge to outer edge."""
@@ -298,8 +282,7 @@ class Grid:
         """Return whether another grid has the same samples, within a thousandth of the spacing."""
         if not isinstance(other, Grid) or self.shape != other.shape:
             return False
-        corners = np.array(np.meshgrid(*[(0, n - 1) for n in self.sizes])).reshape(self.ndim, -1).T
-        off = self.indices(other.positions(corners)) - corners
+        off = self.indices(other.positions(self.corners())) - self.corners()
         return bool(np.abs(off).max() < 1e-3)
 
 

@@ -9,13 +9,12 @@ from itertools import combinations
 from typing import Literal, Self, get_args
 
 import numpy as np
-import numpy.typing as npt
 
 from supple.errors import SuppleError
 from supple.space.affine import Affine, Projective
-from supple.space.checks import choice, integer, items, number, point, refuse
+from supple.space.checks import Shape, Vector, assign, choice, integer, items, number, point, refuse
+from supple.space.geometry import Floats
 
-Floats = npt.NDArray[np.float64]
 Frame = Literal["crop", "pad", "keep"]
 FRAMES: tuple[str, ...] = get_args(Frame)
 
@@ -51,8 +50,8 @@ class Straighten:
 
     rotate: float = 0.0
     shear: tuple[float, float] = (0.0, 0.0)
-    keystone: tuple[tuple[float, ...], ...] = ()
-    scale_to: tuple[int, ...] = ()
+    keystone: tuple[Vector, ...] = ()
+    scale_to: Shape = ()
     fit: Frame = "crop"
 
     def __post_init__(self) -> None:
@@ -71,25 +70,24 @@ class Straighten:
         sizes = items("scale_to", given_sizes, "a width, or a width and a height", (0, 1, 2))
         most = f"a number of pixels from 1 to {_LONGEST}"
         choice("fit", self.fit, FRAMES)
-        checked = {
-            "rotate": number("rotate", self.rotate, "a number of degrees from -360 to 360", -360.0, 360.0),
-            "shear": (x, y),
-            "keystone": quad,
-            "scale_to": tuple(integer("scale_to", n, most, 1, _LONGEST) for n in sizes),
-        }
-        for name, value in checked.items():
-            object.__setattr__(self, name, value)
+        assign(
+            self,
+            rotate=number("rotate", self.rotate, "a number of degrees from -360 to 360", -360.0, 360.0),
+            shear=(x, y),
+            keystone=quad,
+            scale_to=tuple(integer("scale_to", n, most, 1, _LONGEST) for n in sizes),
+        )
 
     @property
     def has_gaps(self) -> bool:
         """Whether the result may have empty parts."""
         return self.fit != "crop"
 
-    def mapped(self, place: Callable[[tuple[float, ...]], tuple[float, ...]]) -> Self:
+    def mapped(self, place: Callable[[Vector], Vector]) -> Self:
         """Return the same for a picture in which points are where a function sends them."""
         return replace(self, keystone=tuple(map(place, self.keystone)))
 
-    def on(self, sizes: tuple[int, ...]) -> tuple[Affine | Projective, tuple[int, int]]:
+    def on(self, sizes: Shape) -> tuple[Affine | Projective, tuple[int, int]]:
         """Return the map of a picture, from pixels of the result to its own (pull), and the size of the result.
 
         ``sizes`` are the picture's width and height. SuppleError if the keystone is too steep for it.
@@ -97,9 +95,7 @@ class Straighten:
         whole = np.array(sizes, np.float64)
         push = self._push((whole - 1) / 2)
         corners = _CORNERS * whole - 0.5
-        depth = np.column_stack([corners, np.ones(4)]) @ push[2]
-        if not depth.min() * _STEEPEST > (np.append((whole - 1) / 2, 1.0) @ push[2]):
-            self._refuse_steep()
+        self._check_depth(push, whole)
         seen = _through(push, corners)
         turned = self.fit != "keep" and abs(math.sin(math.radians(self.rotate))) > math.sqrt(0.5) + 1e-12
         natural = whole[::-1] if turned else whole
@@ -129,9 +125,7 @@ class Straighten:
             exact = np.rint(pull * 2) / 2  # of quarter turns
             pull = np.where(np.abs(pull - exact) < 1e-11, exact, pull)
             pull[2] = (0.0, 0.0, 1.0)
-        depth = np.column_stack([_CORNERS * size - 0.5, np.ones(4)]) @ pull[2]
-        if not depth.min() * _STEEPEST > np.append((size - 1) / 2, 1.0) @ pull[2]:
-            self._refuse_steep()
+        self._check_depth(pull, size)
         made = Projective(pull) if self.keystone else Affine(pull)
         return made, (int(size[0]), int(size[1]))
 
@@ -145,7 +139,7 @@ class Straighten:
         x, y = (math.tan(math.radians(a)) for a in self.shear)
         return np.asarray(np.array([[1.0, x], [y, 1.0]]) @ np.array([[c, -s], [s, c]]))
 
-    def seen(self, sizes: tuple[int, ...]) -> tuple[Floats, Floats]:
+    def seen(self, sizes: Shape) -> tuple[Floats, Floats]:
         """Return how a picture of a width and a height is shown about its middle: a matrix (2, 2), and what vanishes.
 
         A displacement d from the middle is shown as matrix · d / (1 + vanishing · d).
@@ -167,6 +161,11 @@ class Straighten:
         made[:2, :2] = self.linear
         made[:2, 2] = centre - made[:2, :2] @ centre
         return made @ _rectified(np.array(self.keystone)) if self.keystone else made
+
+    def _check_depth(self, matrix: Floats, size: Floats) -> None:
+        depth = np.column_stack([_CORNERS * size - 0.5, np.ones(4)]) @ matrix[2]
+        if not depth.min() * _STEEPEST > np.append((size - 1) / 2, 1.0) @ matrix[2]:
+            self._refuse_steep()
 
     def _refuse_steep(self) -> None:
         frame = ", ".join(f"({x:.5g}, {y:.5g})" for x, y in self.keystone)

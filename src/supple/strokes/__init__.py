@@ -1,8 +1,7 @@
 """Strokes and recipes: immutable values, their JSON, their scaling to other sizes, and the packed table of the core."""
 
-from supple._core.rows import ROW, STROKE_DTYPE, numbers
 from supple.strokes.recipe import CoordinateSpace, FoldPolicy, Recipe, fit_recipe
-from supple.strokes.scaling import Fit, Scaling, scaling_of, spoken
+from supple.strokes.scaling import Fit, scaling_of, spoken
 from supple.strokes.stroke import (
     LARGEST_ANGLE,
     LARGEST_FACTOR,
@@ -11,8 +10,6 @@ from supple.strokes.stroke import (
     MOST_HANDLES,
     PAINTINGS,
     REACH,
-    Brush,
-    Point,
     Stroke,
     last_freeze,
 )
@@ -27,21 +24,15 @@ __all__ = [
     "PAINTINGS",
     "POISSON",
     "REACH",
-    "ROW",
-    "STROKE_DTYPE",
-    "Brush",
     "CoordinateSpace",
     "Fit",
     "FoldPolicy",
-    "Point",
     "Recipe",
-    "Scaling",
     "Stroke",
     "fit_recipe",
     "last_freeze",
     "legs",
     "matrix_of",
-    "numbers",
     "pack",
     "poisson_of",
     "scaling_of",

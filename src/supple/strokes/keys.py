@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import bisect
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
 from supple.errors import SuppleError
-from supple.space.checks import LARGEST, LONGEST_AXIS, integer, number, point, refuse
+from supple.space.checks import LARGEST, LONGEST_AXIS, Vector, assign, integer, listed, number, point, refuse
 
-_PARTS = (
-    ("strength", "a number from 0 to 1", 0.0, 1.0),
-    ("angle", "a number of degrees", -LARGEST, LARGEST),
-    ("scale", "a number from 0.01 to 100", 0.01, 100.0),
-)
+_PARTS = {
+    "strength": ("a number from 0 to 1", 0.0, 1.0),
+    "angle": ("a number of degrees", -LARGEST, LARGEST),
+    "scale": ("a number from 0.01 to 100", 0.01, 100.0),
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,28 +36,22 @@ class Key:
     """
 
     frame: int
-    at: tuple[float, ...] | None = None
+    at: Vector | None = None
     strength: float | None = None
     angle: float | None = None
     scale: float | None = None
 
     def __post_init__(self) -> None:
         frame = integer("frame", self.frame, "a whole number, counted from 0", -LONGEST_AXIS, LONGEST_AXIS)
-        object.__setattr__(self, "frame", frame)
-        if (self.at, self.strength, self.angle, self.scale) == (None,) * 4:
+        parts = {k: number(k, getattr(self, k), *how) for k, how in _PARTS.items() if getattr(self, k) is not None}
+        if self.at is None and not parts:
             raise SuppleError(f"the key of frame {frame} must have at, strength, angle or scale, and has none")
-        if self.at is not None:
-            object.__setattr__(self, "at", point("at", self.at, (2,)))
-        for name, wanted, low, high in _PARTS:
-            if (part := getattr(self, name)) is not None:
-                object.__setattr__(self, name, number(name, part, wanted, low, high))
+        assign(self, frame=frame, at=None if self.at is None else point("at", self.at, (2,)), **parts)
 
 
 def checked_keys(given: object, ndim: int) -> tuple[Key, ...]:
     """Return the keys of a stroke with points of ``ndim`` numbers; SuppleError for other values."""
-    if not isinstance(given, Iterable) or isinstance(given, str | bytes):
-        refuse("keys", "a sequence of Key", given)
-    keys = tuple(given)
+    keys = listed("keys", given, "a sequence of Key")
     for i, key in enumerate(keys):
         if not isinstance(key, Key):
             refuse(f"keys[{i}]", "a Key", key)
@@ -71,7 +65,7 @@ def checked_keys(given: object, ndim: int) -> tuple[Key, ...]:
     return keys
 
 
-def position(keys: Sequence[Key], frame: float) -> tuple[float, ...] | None:
+def position(keys: Sequence[Key], frame: float) -> Vector | None:
     """Return the position in a frame; None if no key has any."""
     known = [(key.frame, key.at) for key in keys if key.at is not None]
     if not known:

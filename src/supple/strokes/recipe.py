@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any, Literal, Self, get_args
 
 from supple.errors import ScaleWarning, SuppleError, argument
-from supple.space.checks import LONGEST_AXIS, choice, integer, items, length, number, refuse
+from supple.space.checks import LONGEST_AXIS, Shape, assign, choice, integer, items, length, listed, number, refuse
 from supple.space.domain import Border, BorderProfile, check_border_profile, checked_border
 from supple.space.freezing import Freeze
 from supple.space.straighten import Straighten
@@ -56,7 +56,7 @@ class Recipe:
     border_profile: BorderProfile = "quartic"
     on_fold: FoldPolicy = "flow"
     strokes: tuple[Stroke, ...] = ()
-    size: tuple[int, ...] | None = None
+    size: Shape | None = None
     space: CoordinateSpace | None = None
     amount: float = 1.0
     time_scale: float | None = None
@@ -64,32 +64,31 @@ class Recipe:
     straighten: Straighten | None = None
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "border", checked_border(self.border))
         check_border_profile(self.border_profile)
         choice("on_fold", self.on_fold, get_args(FoldPolicy))
-        if not isinstance(self.strokes, Iterable):
-            refuse("strokes", "a sequence of Stroke", self.strokes)
-        strokes = tuple(self.strokes)
+        strokes = listed("strokes", self.strokes, "a sequence of Stroke")
         for i, stroke in enumerate(strokes):
             if not isinstance(stroke, Stroke):
                 refuse(f"strokes[{i}]", "a Stroke", stroke)
             if (n := strokes[0].ndim) != stroke.ndim:
                 refuse(f"strokes[{i}].at", f"a point of {n} numbers, as in strokes[0]", stroke.at)
-        object.__setattr__(self, "strokes", strokes)
         ndim = strokes[0].ndim if strokes else None
-        if self.size is not None:
-            object.__setattr__(self, "size", _checked_size(self.size, ndim))
         if self.space is not None:
             choice("space", self.space, get_args(CoordinateSpace))
             if self.is_world and ndim == 2:
                 refuse("space", '"pixels" where points have 2 numbers', self.space)
-        object.__setattr__(self, "amount", number("amount", self.amount, PART, LEAST, MOST))
-        if self.time_scale is not None:
-            object.__setattr__(self, "time_scale", length("time_scale", self.time_scale))
-        if self.freeze is not None and not isinstance(self.freeze, Freeze):
+        if not isinstance(self.freeze, Freeze | None):
             refuse("freeze", "a Freeze (Freeze.of makes one from an array)", self.freeze)
         if not isinstance(self.straighten, Straighten | None):
             refuse("straighten", "a Straighten", self.straighten)
+        assign(
+            self,
+            border=checked_border(self.border),
+            strokes=strokes,
+            size=None if self.size is None else _checked_size(self.size, ndim),
+            amount=number("amount", self.amount, PART, LEAST, MOST),
+            time_scale=None if self.time_scale is None else length("time_scale", self.time_scale),
+        )
 
     @property
     def is_world(self) -> bool:
@@ -152,17 +151,7 @@ class Recipe:
             return self  # nothing moves: a mask alone may be that of a clip's frames
         if self.size is None or self.is_world or not (self.strokes or self.freeze or self.straighten):
             return replace(self, size=size)
-        scaling = scaling_of(self.size, size, how, time=time, name=name)
-        if scaling is None:
-            before = self.size
-
-            def resized(freeze: Freeze | None) -> Freeze | None:
-                fits = freeze is not None and freeze.samples == before[: freeze.ndim]
-                return freeze.fitted(size, None) if freeze is not None and fits else freeze
-
-            strokes = tuple(replace(stroke, matte=resized(stroke.matte)) for stroke in self.strokes)
-            return replace(self, size=size, strokes=strokes, freeze=resized(self.freeze))
-        return self._scaled(scaling, size)
+        return self._scaled(scaling_of(self.size, size, how, time=time, name=name), size)
 
     def placed(self, offset: Sequence[float], size: Sequence[int]) -> Self:
         """Return the recipe, which has a size, in a larger medium: its own first sample is at ``offset`` there."""
@@ -170,12 +159,15 @@ class Recipe:
             return replace(self, size=tuple(size)) if len(offset) == len(self.size or ()) else self
         return self._scaled(Scaling((1.0,) * len(offset), tuple(map(float, offset)), 1.0), tuple(size))
 
-    def _scaled(self, scaling: Scaling, size: tuple[int, ...]) -> Self:
+    def _scaled(self, scaling: Scaling | None, size: Shape) -> Self:
         def masked(freeze: Freeze | None) -> Freeze | None:
             if freeze is None or self.size is None or freeze.samples[: len(self.size)] != self.size[: freeze.ndim]:
                 return freeze  # it is the medium's, or refused
-            return freeze.fitted(size, scaling.point)
+            return freeze.fitted(size, None if scaling is None else scaling.point)
 
+        if scaling is None:
+            same = tuple(replace(stroke, matte=masked(stroke.matte)) for stroke in self.strokes)
+            return replace(self, size=size, strokes=same, freeze=masked(self.freeze))
         strokes = [
             replace(
                 stroke.mapped(scaling.point, scaling.drag),
@@ -233,7 +225,7 @@ def fit_recipe(recipe: Recipe, size: Sequence[int], how: Fit | None, name: str, 
     return made
 
 
-def _checked_size(size: object, ndim: int | None) -> tuple[int, ...]:
+def _checked_size(size: object, ndim: int | None) -> Shape:
     lengths = (2, 3) if ndim is None else (ndim,)
     sizes = items("size", size, f"{' or '.join(map(str, lengths))} numbers of samples, x first", lengths)
     wanted = f"a whole number from 1 to {LONGEST_AXIS}"

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Literal, get_args
 
 from supple.errors import SuppleError, argument
-from supple.space.checks import choice
+from supple.space.checks import Vector, choice
 
 Fit = Literal["pixels", "stretch", "inside"]
 FITS: tuple[str, ...] = get_args(Fit)
@@ -25,12 +25,12 @@ class Scaling:
         The factor of lengths, such as a brush's radius.
     """
 
-    factors: tuple[float, ...]
-    offsets: tuple[float, ...]
+    factors: Vector
+    offsets: Vector
     length: float
 
     @property
-    def widths(self) -> tuple[float, ...]:
+    def widths(self) -> Vector:
         """The factor of a border's width along each axis, in physical units."""
         return (*self.factors[:2], self.length)[: len(self.factors)]
 
@@ -39,12 +39,12 @@ class Scaling:
         """The factor of the time scale, in physical units; 1 without time."""
         return self.length / self.factors[2] if len(self.factors) == 3 else 1.0
 
-    def point(self, p: Sequence[float]) -> tuple[float, ...]:
+    def point(self, p: Sequence[float]) -> Vector:
         """Return the image of a point."""
         moved = zip(p, self.factors, self.offsets, strict=True)
         return tuple(x if (s, o) == (1.0, 0.0) else (x + 0.5) * s - 0.5 + o for x, s, o in moved)
 
-    def drag(self, v: Sequence[float]) -> tuple[float, ...]:
+    def drag(self, v: Sequence[float]) -> Vector:
         """Return the image of a difference of two points."""
         return tuple(x * s for x, s in zip(v, self.factors, strict=True))
 

@@ -5,15 +5,15 @@ from __future__ import annotations
 import cmath
 import itertools
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal, Self, get_args
+from typing import Any, Literal, Self, TypedDict, Unpack, get_args
 
 import numpy as np
 import numpy.typing as npt
 
 from supple.errors import SuppleError, none, numbered
-from supple.space.checks import LARGEST, choice, integer, length, number, point, refuse
+from supple.space.checks import LARGEST, assign, choice, flag, integer, items, length, listed, number, point, refuse
 from supple.space.freezing import Freeze
 from supple.strokes.keys import Key, checked_keys, position, value
 
@@ -32,6 +32,26 @@ PART = "a number from -1 (the opposite) to 2"
 LEAST, MOST = -1.0, 2.0
 """The range of amounts and strengths."""
 FADE = 5  # frames beyond a track, within which what follows it fades
+
+
+PAIRS = "pairs of a point and its drag"
+_USUAL: dict[str, object] = {"scales": 1, "flat": 0.0, "also": (), "path": (), "chord": False}
+_USUAL |= dict.fromkeys(("angle", "factor", "axis"))
+_TAKES = {
+    "grab": ("scales", "flat", "also", "path"),
+    "twist": ("angle", "axis", "chord"),
+    "scale": ("factor",),
+    "pinch": ("factor", "axis"),
+    "freeze": (),
+}
+
+
+class BrushOptions(TypedDict, total=False):
+    """The parameters that all brushes share, besides ``at`` and ``radius``: see `Stroke`."""
+
+    reach: float | None
+    time_radius: float | None
+    strength: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -124,110 +144,68 @@ class Stroke:
 
     def __post_init__(self) -> None:
         choice("brush", self.brush, get_args(Brush))
-        for name in ("hidden", "chord", "isotropic"):
-            if not isinstance(getattr(self, name), bool):
-                refuse(name, "true or false", getattr(self, name))
         if not isinstance(self.name, str | None):
             refuse("name", "text", self.name)
         if not isinstance(self.matte, Freeze | None):
             refuse("matte", "a Freeze (Freeze.of makes one from an array)", self.matte)
         at = point("at", self.at)
-        checked = {
-            "at": at,
-            "by": self._checked_by(at),
-            "radius": length("radius", self.radius),
-            "poisson": None
-            if self.poisson is None
-            else number("poisson", self.poisson, "a number up to 0.5, or -inf", -math.inf, 0.5),
+        one, still, degrees = (len(at),), (0.0,) * len(at), LARGEST_ANGLE
+        reach = f"a number of radii from 1 to {LARGEST:g}, or {none()} for no limit"
+        factor = f"a number from {1 / LARGEST_FACTOR:g} to {LARGEST_FACTOR:g}"
+        pairs = [items("also", pair, PAIRS, (2,)) for pair in listed("also", self.also, PAIRS)]
+        checked: dict[str, Any] = {
             "scales": integer("scales", self.scales, "1, 2 or 3", 1, 3),
-            "reach": _checked_reach(self.reach),
-            "time_radius": self._checked_time_radius(len(at)),
-            "flat": self._checked_flat(),
-            "strength": number("strength", self.strength, PART, LEAST, MOST),
-            **self._checked_shape(len(at)),
-            "also": self._checked_pairs(len(at)),
-            "path": self._checked_path(len(at)),
-            "keys": checked_keys(self.keys, len(at)),
+            "flat": number("flat", self.flat, f"a part of the radius from 0 to {MOST_FLAT}", 0.0, MOST_FLAT),
+            "also": tuple(
+                (point(f"also[{i}] point", p, one), point(f"also[{i}] drag", v, one)) for i, (p, v) in enumerate(pairs)
+            ),
+            "path": tuple(
+                point(f"path[{i}]", p, one) for i, p in enumerate(listed("path", self.path, "a sequence of points"))
+            ),
+            "angle": _number(
+                "angle", self.angle, f"a number of degrees from {-degrees:g} to {degrees:g}", -degrees, degrees
+            ),
+            "factor": _number("factor", self.factor, factor, 1 / LARGEST_FACTOR, LARGEST_FACTOR),
+            "axis": None if self.axis is None else point("axis", self.axis, one),
+            "chord": flag("chord", self.chord),
         }
+        takes = _TAKES[self.brush]
+        for name, usual in _USUAL.items():
+            if name not in takes and checked[name] not in (usual, None):
+                refuse(name, f"left out for a {self.brush}", checked[name])
+        for name in ("angle", "factor"):
+            if name in takes and checked[name] is None:
+                refuse(name, f"a number, for a {self.brush}", None)
+        if self.brush != "grab" and self.by not in ((), still):
+            refuse("by", f"left out for a {self.brush}, which does not move its pivot", self.by)
+        if checked["axis"] is not None and (not any(checked["axis"]) or (self.brush == "twist" and len(at) == 2)):
+            wanted = "a direction, with a number other than 0, and of a twist, in three dimensions"
+            refuse("axis", wanted, self.axis)
+        if checked["also"] and checked["path"]:
+            refuse("path", "left out for a pull", told=f"{len(checked['path'])} points")
+        if len(pairs) >= MOST_HANDLES:
+            refuse("also", f"fewer than {MOST_HANDLES} pairs", len(pairs))
+        if checked["flat"] and (pairs or self.reach is None):
+            refuse("flat", f"left out for a {'pull' if pairs else 'grab without a reach'}", self.flat)
+        if self.time_radius is not None and (len(at) == 2 or self.isotropic):
+            refuse("time_radius", "left out for a stroke without time, or one that is isotropic", self.time_radius)
+        assign(
+            self,
+            at=at,
+            by=point("by", self.by, one) if self.brush == "grab" else still,
+            radius=length("radius", self.radius),
+            poisson=_number("poisson", self.poisson, "a number up to 0.5, or -inf", -math.inf, 0.5),
+            reach=_number("reach", self.reach, reach, 1.0, LARGEST),
+            time_radius=None if self.time_radius is None else length("time_radius", self.time_radius),
+            strength=number("strength", self.strength, PART, LEAST, MOST),
+            hidden=flag("hidden", self.hidden),
+            isotropic=flag("isotropic", self.isotropic),
+            keys=checked_keys(self.keys, len(at)),
+            **checked,
+        )
         if self.brush == "freeze" and (self.matte is None or self.keys or self.strength != 1):
             name = "matte" if self.matte is None else "keys" if self.keys else "strength"
             refuse(name, "a mask, for a freeze" if name == "matte" else "left out for a freeze", getattr(self, name))
-        for name, item in checked.items():
-            object.__setattr__(self, name, item)
-
-    def _checked_time_radius(self, ndim: int) -> float | None:
-        if self.time_radius is None:
-            return None
-        if ndim == 2 or self.isotropic:
-            which = "a stroke that is isotropic" if self.isotropic else "points of 2 numbers, which have no time"
-            refuse("time_radius", f"left out for {which}", self.time_radius)
-        return length("time_radius", self.time_radius)
-
-    def _checked_flat(self) -> float:
-        flat = number("flat", self.flat, f"a part of the radius from 0 to {MOST_FLAT}", 0.0, MOST_FLAT)
-        if flat and (self.brush != "grab" or self.also or self.reach is None):
-            which = "a pull" if self.also else f"a {self.brush}" if self.brush != "grab" else "a grab without a reach"
-            refuse("flat", f"left out for {which}", flat)
-        return flat
-
-    def _checked_by(self, at: Place) -> Place:
-        if self.brush == "grab":
-            return point("by", self.by, (len(at),))
-        still = (0.0,) * len(at)
-        if self.by not in ((), still):
-            refuse("by", f"left out for a {self.brush}, which does not move its pivot", self.by)
-        return still
-
-    def _checked_pairs(self, ndim: int) -> tuple[tuple[Place, Place], ...]:
-        wanted = "pairs of a point and its drag"
-        given: object = self.also
-        if not isinstance(given, Iterable):
-            refuse("also", wanted, given)
-        pairs = tuple(given)
-        if pairs and self.brush != "grab":
-            refuse("also", f"left out for a {self.brush}", self.also)
-        if len(pairs) >= MOST_HANDLES:
-            refuse("also", f"fewer than {MOST_HANDLES} pairs", len(pairs))
-        made = []
-        for i, pair in enumerate(pairs):
-            if not isinstance(pair, tuple | list) or len(pair) != 2:
-                refuse(f"also[{i}]", wanted, pair)
-            made.append((point(f"also[{i}] point", pair[0], (ndim,)), point(f"also[{i}] drag", pair[1], (ndim,))))
-        return tuple(made)
-
-    def _checked_path(self, ndim: int) -> tuple[Place, ...]:
-        given: object = self.path
-        if not isinstance(given, Iterable):
-            refuse("path", "a sequence of points", given)
-        made = tuple(point(f"path[{i}]", p, (ndim,)) for i, p in enumerate(given))
-        if made and (self.brush != "grab" or self.also):
-            refuse("path", f"left out for a {'pull' if self.also else self.brush}", told=f"{len(made)} points")
-        return made
-
-    def _checked_shape(self, ndim: int) -> dict[str, object]:
-        """Return the angle, the factor and the axis, each if the brush has one."""
-        takes = {"twist": ("angle", "axis", "chord"), "scale": ("factor",), "pinch": ("factor", "axis")}
-        own = takes.get(self.brush, ())
-        for name in ("angle", "factor", "axis", "chord"):
-            if name not in own and getattr(self, name) not in (None, False):
-                refuse(name, f"left out for a {self.brush}", getattr(self, name))
-        if self.brush != "grab" and self.scales != 1:
-            refuse("scales", f"1 for a {self.brush}, which fades as 1/r² of itself", self.scales)
-        checked: dict[str, object] = {}
-        if "angle" in own:
-            wanted = f"a number of degrees from {-LARGEST_ANGLE:g} to {LARGEST_ANGLE:g}"
-            checked["angle"] = number("angle", self.angle, wanted, -LARGEST_ANGLE, LARGEST_ANGLE)
-        if "factor" in own:
-            wanted = f"a number from {1 / LARGEST_FACTOR:g} to {LARGEST_FACTOR:g}"
-            checked["factor"] = number("factor", self.factor, wanted, 1 / LARGEST_FACTOR, LARGEST_FACTOR)
-        if self.axis is not None:
-            if self.brush == "twist" and ndim == 2:
-                refuse("axis", "left out for a twist of points of 2 numbers", self.axis)
-            axis = point("axis", self.axis, (ndim,))
-            if not any(axis):
-                refuse("axis", "a direction, with a number other than 0", self.axis)
-            checked["axis"] = axis
-        return checked
 
     @classmethod
     def grab(
@@ -240,10 +218,8 @@ class Stroke:
         radius: float,
         poisson: float | None = None,
         scales: int = 1,
-        reach: float | None = REACH,
-        time_radius: float | None = None,
         flat: float = 0.0,
-        strength: float = 1.0,
+        **options: Unpack[BrushOptions],
     ) -> Self:
         """Return a stroke that drags the material at a point.
 
@@ -267,15 +243,11 @@ class Stroke:
         start = point("at", at)
         if len(path) and to is None and by is None:
             *path, to = path
-        if by is not None and to is None:
-            drag = point("by", by, (len(start),))
-        elif to is not None and by is None:
-            end = point("to", to, (len(start),))
-            drag = tuple(b - a for a, b in zip(start, end, strict=True))
-        else:
-            raise SuppleError(f"a grab takes one of to and by, found {'neither' if to is None else 'both'}")
-        known: dict[str, Any] = {"poisson": poisson, "scales": scales, "reach": reach, "strength": strength}
-        return cls(at=start, by=drag, path=path, radius=radius, time_radius=time_radius, flat=flat, **known)  # type: ignore[arg-type]
+        _check_ends("grab", to, by)
+        end = point("by" if to is None else "to", by if to is None else to, (len(start),))
+        drag = end if to is None else tuple(b - a for a, b in zip(start, end, strict=True))
+        known: dict[str, Any] = {"path": path, "poisson": poisson, "scales": scales, "flat": flat, **options}
+        return cls(at=start, by=drag, radius=radius, **known)
 
     @classmethod
     def twist(
@@ -285,9 +257,7 @@ class Stroke:
         angle: float,
         radius: float,
         axis: Point | None = None,
-        reach: float | None = REACH,
-        time_radius: float | None = None,
-        strength: float = 1.0,
+        **options: Unpack[BrushOptions],
     ) -> Self:
         """Return a stroke that turns the material around a point.
 
@@ -305,20 +275,10 @@ class Stroke:
         at, radius, reach, time_radius, strength
             As for all brushes.
         """
-        known: dict[str, Any] = {"reach": reach, "time_radius": time_radius, "strength": strength}
-        return cls(brush="twist", at=at, angle=angle, axis=axis, radius=radius, **known)  # type: ignore[arg-type]
+        return cls(brush="twist", at=at, angle=angle, axis=axis, radius=radius, **options)  # type: ignore[arg-type]
 
     @classmethod
-    def scale(
-        cls,
-        at: Point,
-        *,
-        factor: float,
-        radius: float,
-        reach: float | None = REACH,
-        time_radius: float | None = None,
-        strength: float = 1.0,
-    ) -> Self:
+    def scale(cls, at: Point, *, factor: float, radius: float, **options: Unpack[BrushOptions]) -> Self:
         """Return a stroke that bloats or puckers the material around a point.
 
         At the point, lengths are magnified by exactly the factor; it fades with the distance. In a clip, x and y are
@@ -333,8 +293,7 @@ class Stroke:
         at, radius, reach, time_radius
             As for all brushes.
         """
-        known: dict[str, Any] = {"reach": reach, "time_radius": time_radius, "strength": strength}
-        return cls(brush="scale", at=at, factor=factor, radius=radius, **known)  # type: ignore[arg-type]
+        return cls(brush="scale", at=at, factor=factor, radius=radius, **options)  # type: ignore[arg-type]
 
     @classmethod
     def pinch(
@@ -345,9 +304,7 @@ class Stroke:
         radius: float,
         axis: Point | None = None,
         poisson: float | None = None,
-        reach: float | None = REACH,
-        time_radius: float | None = None,
-        strength: float = 1.0,
+        **options: Unpack[BrushOptions],
     ) -> Self:
         """Return a stroke that pinches the material around a point.
 
@@ -363,8 +320,8 @@ class Stroke:
         at, radius, poisson, reach, time_radius, strength
             As for all brushes; the strength is a part of the factor's logarithm.
         """
-        known: dict[str, Any] = {"axis": axis, "poisson": poisson, "reach": reach, "strength": strength}
-        return cls(brush="pinch", at=at, factor=factor, radius=radius, time_radius=time_radius, **known)  # type: ignore[arg-type]
+        known: dict[str, Any] = {"axis": axis, "poisson": poisson, **options}
+        return cls(brush="pinch", at=at, factor=factor, radius=radius, **known)  # type: ignore[arg-type]
 
     @classmethod
     def pull(
@@ -376,9 +333,7 @@ class Stroke:
         pins: npt.ArrayLike = (),
         radius: float,
         poisson: float | None = None,
-        reach: float | None = REACH,
-        time_radius: float | None = None,
-        strength: float = 1.0,
+        **options: Unpack[BrushOptions],
     ) -> Self:
         """Return a stroke that drags many points at once, each to its own target.
 
@@ -413,30 +368,31 @@ class Stroke:
         array([[180., 250.],
                [250., 250.]])
         """
-        start = _points("points", points)
-        if (to is None) == (by is None):
-            raise SuppleError(f"a pull takes one of to and by, found {'neither' if to is None else 'both'}")
+        start, stay = _points("points", points), _points("pins", pins)
+        _check_ends("pull", to, by)
         which = "by" if to is None else "to"
-        given, stay = _points(which, by if to is None else to), _points("pins", pins)
-        if len(given) != len(start):
-            refuse(which, f"{len(start)} points, one for each of points", len(given))
-        for name, some in ((which, given), ("pins", stay)):
-            if start and some and len(some[0]) != len(start[0]):
-                refuse(name, f"points of {len(start[0])} numbers, as the dragged ones", told=f"{len(some[0])} numbers")
-        drags = given
-        if to is not None:
-            drags = [[b - a for a, b in zip(p, q, strict=True)] for p, q in zip(start, given, strict=True)]
-        pairs = [*zip(start, drags, strict=True), *((p, [0.0] * len(p)) for p in stay)]
-        if not start:
+        given = _points(which, by if to is None else to)
+        if given.shape != start.shape:
+            refuse(which, f"an array of shape {start.shape}, as the points are", told=f"shape {given.shape}")
+        if not start.size:
             refuse("points", "one point at least", points)
+        drags = given if to is None else given - start
+        pairs = [*zip(start.tolist(), drags.tolist(), strict=True), *((p, [0.0] * len(p)) for p in stay.tolist())]
         if len(pairs) > MOST_HANDLES:
             refuse("points", f"at most {MOST_HANDLES} points, pins among them", len(pairs))
         (at, drag), *also = pairs
-        known: dict[str, Any] = {"poisson": poisson, "reach": reach, "strength": strength}
-        return cls(at=at, by=drag, also=also, radius=radius, time_radius=time_radius, **known)  # type: ignore[arg-type]
+        return cls(at=at, by=drag, also=also, radius=radius, poisson=poisson, **options)  # type: ignore[arg-type]
 
     @classmethod
-    def push(cls, path: Sequence[Point], *, by: float, radius: float, **options: Any) -> Self:
+    def push(
+        cls,
+        path: Sequence[Point],
+        *,
+        by: float,
+        radius: float,
+        poisson: float | None = None,
+        **options: Unpack[BrushOptions],
+    ) -> Self:
         """Return a stroke that pushes what lies along a path sideways.
 
         ``by`` is how far, in pixels, to the left of the way; below 0, to the right. The options are ``poisson``,
@@ -452,7 +408,7 @@ class Stroke:
         along = np.gradient(way, axis=0)
         along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-12)
         drags = away * np.stack([along[:, 1], -along[:, 0]], axis=1)
-        return replace(cls.pull(way, by=drags, radius=radius, **options), name="push")
+        return replace(cls.pull(way, by=drags, radius=radius, poisson=poisson, **options), name="push")
 
     @classmethod
     def freeze(cls, mask: Freeze, *, ndim: int | None = None) -> Self:
@@ -529,18 +485,13 @@ class Stroke:
     def is_image(self, other: Stroke) -> bool:
         """Return whether another stroke is the mirror image of this one, about what lies midway between them."""
         across = np.subtract(other.at, self.at)
-        if (other.brush, other.radius) != (self.brush, self.radius) or not across.any():
-            return False
-        if self.matte is not None and np.count_nonzero(across) > 1:
+        slants = self.matte is not None and np.count_nonzero(across) > 1
+        if other.brush != self.brush or not across.any() or slants:
             return False
         image = self.mirrored(np.add(self.at, other.at) / 2, across)
-        near = 1e-6 * self.radius
-        places, others = ([each.by, *each.path] for each in (image, other))
-        return (
-            len(places) == len(others)
-            and np.allclose(places, others, rtol=0, atol=near)
-            and (image == replace(other, at=image.at, by=image.by, path=image.path, axis=image.axis))
-        )
+        ways, others = ([each.by, *each.path] for each in (image, other))
+        alike = image == replace(other, at=image.at, by=image.by, path=image.path, axis=image.axis)
+        return alike and np.allclose(ways, others, rtol=0, atol=1e-6 * self.radius)
 
     def symmetric(self, at: Point, normal: Point) -> tuple[Self, ...]:
         """Return the strokes that make this one symmetric about a line or a plane.
@@ -641,33 +592,31 @@ class Stroke:
             If the track is none, the frame is not within it, or the stroke has positions in its keys already.
         """
         choice("outside", outside, ("fade", "hold"))
-        keys = checked_keys([Key(k, tuple(at)) for k, at in track], self.ndim)
-        if not keys:
+        places, ends = _track(track, self.ndim), _track(second, self.ndim)
+        if not places:
             refuse("a track", "the positions of a point in one frame or more", track)
         if any((key.at, key.angle, key.scale) != (None,) * 3 for key in self.keys):
             raise SuppleError("the stroke has keys with positions, and cannot follow a track too: leave one out")
-        turns, degrees = dict.fromkeys((key.frame for key in keys), 1 + 0j), dict[int, float]()
-        first, last = keys[0].frame, keys[-1].frame
+        first, *_, last = (*places, *places)
         begin = first if frame is None else number("frame", frame, "a frame", -LARGEST, LARGEST)
         if not first <= begin <= last:
             raise SuppleError(
                 f"the track is of the frames {numbered(first)} to {numbered(last)}, and the stroke of frame "
                 f"{numbered(begin):g}: give one of those"
             )
-        if len(second):
-            turns, degrees = _turns(keys, checked_keys([Key(k, tuple(at)) for k, at in second], self.ndim), begin)
-            keys = tuple(key for key in keys if key.frame in turns)
-        origin = position(keys, begin)
-        assert origin is not None
-        arm = complex(*self.at) - complex(*origin)
-        made = {key.frame: key for key in self.keys}
-        for k, at in ((key.frame, key.at or ()) for key in keys):
-            away = turns[k] * arm
-            place: dict[str, Any] = {"at": (at[0] + away.real, at[1] + away.imag)}
-            place |= {"angle": degrees[k], "scale": abs(turns[k])} if degrees else {}
+        turns, degrees = dict.fromkeys(places, 1 + 0j), dict[int, float]()
+        if ends:
+            ways = {k: ends[k] - p for k, p in places.items() if k in ends}
+            turns, degrees = _turns(ways, begin)
+        arm, made = complex(*self.at), {key.frame: key for key in self.keys}
+        arm -= _place({k: places[k] for k in turns}, begin)
+        for k, turn in turns.items():
+            away = places[k] + turn * arm
+            place: dict[str, Any] = {"at": (away.real, away.imag)}
+            place |= {"angle": degrees[k], "scale": abs(turn)} if degrees else {}
             made[k] = replace(made.get(k, Key(k, **place)), **place)
         if outside == "fade" and not self.keys:
-            first, last = keys[0].frame, keys[-1].frame  # those that both tracks have
+            first, *_, last = (*turns, *turns)  # those that both tracks have
             for k in (first, last):
                 made[k] = replace(made[k], strength=1.0)
             for k in (FADE, FADE + 1):  # twice, so that the curve begins and ends without a slope
@@ -698,10 +647,20 @@ def last_freeze(strokes: Sequence[Stroke]) -> Freeze | None:
     return next((s.matte for s in reversed(strokes) if s.brush == "freeze" and not s.hidden), None)
 
 
-def _turns(keys: Sequence[Key], ends: Sequence[Key], begin: float) -> tuple[dict[int, complex], dict[int, float]]:
+def _track(points: Sequence[tuple[int, Point]], ndim: int) -> dict[int, complex]:
+    """Return the positions of a tracked point by their frames."""
+    keys = checked_keys([Key(k, tuple(at)) for k, at in points], ndim)
+    return {key.frame: complex(*key.at or ()) for key in keys}
+
+
+def _place(places: dict[int, complex], frame: float) -> complex:
+    """Return the position in a frame between those of a track."""
+    found = position([Key(k, (p.real, p.imag)) for k, p in places.items()], frame)
+    return complex(*found or ())
+
+
+def _turns(ways: dict[int, complex], begin: float) -> tuple[dict[int, complex], dict[int, float]]:
     """Return by what the way from one point to another is turned and scaled since a frame, and the degrees of that."""
-    known = {key.frame: complex(*key.at or ()) for key in ends}
-    ways = {key.frame: known[key.frame] - complex(*key.at or ()) for key in keys if key.frame in known}
     if not ways:
         raise SuppleError("the two tracks have no frame in common: track both points through the same frames")
     for k, way in ways.items():
@@ -709,27 +668,29 @@ def _turns(keys: Sequence[Key], ends: Sequence[Key], begin: float) -> tuple[dict
             raise SuppleError(
                 f"the two tracks are at the same place in frame {numbered(k)}: track two points that are apart"
             )
-    first = position([Key(k, (way.real, way.imag)) for k, way in ways.items()], begin)
-    turns = {k: way / complex(*first or ()) for k, way in ways.items()}
+    first = _place(ways, begin)
+    turns = {k: way / first for k, way in ways.items()}
     degrees = np.rad2deg(np.unwrap(np.angle(list(turns.values()))))
     degrees -= 360 * np.round(np.interp(begin, list(turns), degrees) / 360)
     return turns, dict(zip(turns, degrees.tolist(), strict=True))
 
 
-def _points(name: str, values: object) -> list[list[float]]:
-    """Return rows of coordinates; what the rows hold is checked by `Stroke`."""
+def _check_ends(what: str, to: object, by: object) -> None:
+    if (to is None) == (by is None):
+        raise SuppleError(f"a {what} takes one of to and by, found {'neither' if to is None else 'both'}")
+
+
+def _points(name: str, values: object) -> npt.NDArray[np.float64]:
+    """Return rows of coordinates; `Stroke` checks them."""
+    wanted = "points of 2 or 3 numbers each, x first"
     try:
         made = np.asarray(values, np.float64)
     except (TypeError, ValueError):
-        refuse(name, "points of 2 or 3 numbers each, x first", values)
-    if made.size == 0:
-        return []
-    if made.ndim != 2 or made.shape[1] not in (2, 3):
-        refuse(name, "points of 2 or 3 numbers each, x first", told=f"an array of shape {made.shape}")
-    return made.tolist()  # type: ignore[no-any-return]
+        refuse(name, wanted, values)
+    if made.size and (made.ndim != 2 or made.shape[1] not in (2, 3)):
+        refuse(name, wanted, told=f"an array of shape {made.shape}")
+    return made
 
 
-def _checked_reach(reach: object) -> float | None:
-    if reach is None:
-        return None
-    return number("reach", reach, f"a number of radii from 1 to {LARGEST:g}, or {none()} for no limit", 1.0, LARGEST)
+def _number(name: str, value: object, wanted: str, low: float, high: float) -> float | None:
+    return None if value is None else number(name, value, wanted, low, high)

@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from supple._core.rows import STROKE_DTYPE
 from supple.space.checks import refuse
+from supple.space.geometry import Floats
 from supple.strokes.stroke import Brush, Stroke
 
 POISSON = 0.4
@@ -78,7 +79,7 @@ def pack(
     return np.array(rows, STROKE_DTYPE)
 
 
-def matrix_of(stroke: Stroke, spacing: Sequence[float], *, time: bool = False) -> npt.NDArray[np.float64]:
+def matrix_of(stroke: Stroke, spacing: Sequence[float], *, time: bool = False) -> Floats:
     """Return ∂K/∂p at the pivot, in physical units, shape (3, 3): R - I of a rotation R, for instance."""
     made, plane = np.zeros((3, 3)), time or stroke.ndim == 2
     axis = _axis_of(stroke, spacing)
@@ -97,7 +98,7 @@ def matrix_of(stroke: Stroke, spacing: Sequence[float], *, time: bool = False) -
     return made
 
 
-def _axis_of(stroke: Stroke, spacing: Sequence[float]) -> npt.NDArray[np.float64]:
+def _axis_of(stroke: Stroke, spacing: Sequence[float]) -> Floats:
     """Return the unit vector along the axis of a twist or a pinch, in physical units."""
     axis = np.array((0.0, 0.0, 1.0))
     if (direction := stroke.direction) is not None:
@@ -108,7 +109,7 @@ def _axis_of(stroke: Stroke, spacing: Sequence[float]) -> npt.NDArray[np.float64
     return axis
 
 
-def _skew(axis: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+def _skew(axis: Floats) -> Floats:
     """Return the matrix of the cross product with an axis."""
     x, y, z = axis
     return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
@@ -136,7 +137,7 @@ def stretch_of(stroke: Stroke, frames: int, time_scale: float) -> float:
 
 
 @lru_cache(maxsize=256)
-def _terms(radius: float, poisson: float, scales: int, brush: Brush) -> npt.NDArray[np.float64]:
+def _terms(radius: float, poisson: float, scales: int, brush: Brush) -> Floats:
     """Return the columns radius2, p, q and r of a row, as four rows."""
     # b/a of the kelvinlet (a itself cancels): from 0, at -inf, to 1/2, so that no sum here loses digits.
     ratio = 1 / (4 * (1 - poisson))
@@ -175,20 +176,16 @@ def legs(stroke: Stroke, spacing: Sequence[float]) -> tuple[Stroke, ...]:
     points = np.array([stroke.at, *stroke.path, end])
     places = points * spacing
     length = float(np.linalg.norm(np.diff(places, axis=0), axis=1).sum())
-    tolerance, kept = 0.05 * stroke.radius, [0, len(points) - 1]
-    while True:
-        kept = [0, *_corners(places, 0, len(points) - 1, tolerance), len(points) - 1]
-        if len(kept) - 1 <= 4 * max(1.0, length / stroke.radius):
-            break
+    tolerance, last = 0.05 * stroke.radius, len(points) - 1
+    while len(kept := [0, *_corners(places, 0, last, tolerance), last]) - 1 > 4 * max(1.0, length / stroke.radius):
         tolerance *= 2
-    ways = pairwise(kept)
     return tuple(
         replace(stroke, at=tuple(points[i].tolist()), by=tuple((points[j] - points[i]).tolist()), path=())
-        for i, j in ways
+        for i, j in pairwise(kept)
     )
 
 
-def _corners(points: npt.NDArray[np.float64], first: int, last: int, tolerance: float) -> list[int]:
+def _corners(points: Floats, first: int, last: int, tolerance: float) -> list[int]:
     """Return the points of a line between two of it that are needed to stay within a tolerance (Douglas-Peucker)."""
     if last - first < 2:
         return []

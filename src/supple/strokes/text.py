@@ -7,7 +7,7 @@ import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import fields
-from typing import Any, NoReturn, get_args
+from typing import Any, NoReturn, TypeVar, get_args
 
 from supple.errors import SuppleError
 from supple.space.checks import choice, integer, point, refuse, value_shown
@@ -18,32 +18,21 @@ from supple.strokes.stroke import Brush, Stroke
 from supple.strokes.table import POISSON
 
 VERSION = 3
+T = TypeVar("T", Key, Straighten)
 
-# Keys added after version 1.
-_NEW = (
-    "border_profile", "reach", "size", "space", "amount", "time_scale", "name", "strength", "to", "angle", "factor",
-    "axis", "also", "path", "keys", "freeze",
+# Of a stroke, in this order; the others only if they are not the default.
+_ALWAYS = ("brush", "at", "radius", "scales", "reach", "poisson", "strength")
+_ORDER = (
+    "brush", "at", "by", "angle", "factor", "also", "path", "axis", "chord", "isotropic", "radius", "scales", "reach",
+    "time_radius", "flat", "poisson", "strength", "hidden", "name", "matte", "keys",
 )  # fmt: skip
-_NEWER = ("chord", "isotropic", "time_radius", "flat", "matte", "straighten")  # and after version 2
-_OF_KEYS = ("angle", "scale")  # the same, of the keys of strokes
 
 
 def written(members: Mapping[str, object], strokes: Iterable[Stroke]) -> str:
     """Return the text of a recipe of some fields and strokes; fields that are None are left out, but for the border."""
-    strokes = list(strokes)
-    # Twists and strokes in time differ from those of version 2; mattes, plateaus, keys that turn or scale are new.
-    world = members.get("space") in ("LPS", "RAS")
-    turning = any((key.angle, key.scale) != (None, None) for stroke in strokes for key in stroke.keys)
-    newer = any(
-        stroke.brush == "twist" or (stroke.ndim == 3 and not world) or stroke.isotropic
-        or stroke.time_radius is not None or stroke.flat or stroke.matte or not 0 <= stroke.strength <= 1
-        for stroke in strokes
-    )  # fmt: skip
-    most = float(str(members["amount"]))
-    version = VERSION if turning or newer or members.get("straighten") or not 0 <= most <= 1 else 2
-    head = {"supple": version, **{k: v for k, v in members.items() if v is not None or k == "border"}}
-    lines = [f"  {_dump(key)}: {_dump(_plain(value))}" for key, value in head.items()]
-    entries = ",\n".join(f"    {_dump(_entry(stroke))}" for stroke in strokes)
+    head = {"supple": VERSION, **{k: v for k, v in members.items() if v is not None or k == "border"}}
+    lines = [f"  {_dump(key)}: {_dump(value)}" for key, value in head.items()]
+    entries = ",\n".join(f"    {_dump(stroke)}" for stroke in strokes)
     lines.append(f'  "strokes": [\n{entries}\n  ]' if entries else '  "strokes": []')
     return "{\n" + ",\n".join(lines) + "\n}\n"
 
@@ -58,161 +47,94 @@ def read(text: str, names: Sequence[str], resolve: Callable[[dict[str, Any]], No
     if "supple" not in data:
         raise SuppleError(f'the key "supple", a recipe\'s version ({VERSION}), is missing in {value_shown(data)}')
     version = integer('"supple"', data.pop("supple"), "1, 2 or 3 (the versions that this release reads)", 1, VERSION)
-    _check_keys("the recipe", data, _known(names, version), ["strokes"])
+    _check_keys("the recipe", data, names, ["strokes"])
     if version == 1:
-        data = {"border": 50.0, "on_fold": "damp", **data, "border_profile": "sine"}
+        data = {"border": 50.0, "border_profile": "sine", "on_fold": "damp", **data}
     if not isinstance(data["strokes"], list):
         refuse("strokes", "a list", data["strokes"])
     if data.get("freeze") is not None:
         data["freeze"] = Freeze.from_entry(data["freeze"])
     if data.get("straighten") is not None:
-        if not isinstance(entry := data["straighten"], dict):
-            refuse("straighten", "a JSON object", entry)
-        _check_keys("straighten", entry, [each.name for each in fields(Straighten)], [])
-        try:
-            data["straighten"] = Straighten(**entry)
-        except SuppleError as error:
-            raise SuppleError(f"straighten: {error}") from None
+        data["straighten"] = _made(Straighten, "straighten", data["straighten"])
     world = data.get("space") in ("LPS", "RAS")
     data["strokes"] = [_stroke(f"strokes[{i}]", entry, version, world) for i, entry in enumerate(data["strokes"])]
     return data
 
 
-def _plain(value: object) -> object:
-    """Return a value as JSON has it: whole numbers without a fraction, and lists."""
+def _plain(value: Any) -> object:
+    """Return a value as JSON has it: whole numbers without a fraction, lists, and objects of what is not usual."""
     if isinstance(value, Freeze):
         return value.entry()
-    if isinstance(value, Straighten):
-        usual = Straighten()
-        known = {each.name: getattr(value, each.name) for each in fields(value)}
-        return {name: _plain(x) for name, x in known.items() if x != getattr(usual, name)}
+    if isinstance(value, Stroke):
+        usual = {each.name: each.default for each in fields(value)}
+        usual["by"] = () if value.brush == "grab" else value.by
+        value = {k: x for k in _ORDER if (x := getattr(value, k)) != usual[k] or k in _ALWAYS}
+    elif isinstance(value, Key | Straighten):
+        value = {each.name: x for each in fields(value) if (x := getattr(value, each.name)) != each.default}
+    if isinstance(value, dict):
+        return {key: _plain(x) for key, x in value.items()}
     if isinstance(value, tuple):
         return [_plain(x) for x in value]
+    if value == -math.inf:
+        return "-inf"
     if not isinstance(value, float) or not value.is_integer() or abs(value) >= 2**53:
         return value
     return value if value == 0 and math.copysign(1, value) < 0 else int(value)
 
 
 def _dump(value: object) -> str:
-    return json.dumps(value, allow_nan=False)
+    return json.dumps(_plain(value), allow_nan=False)
 
 
-def _entry(stroke: Stroke) -> dict[str, object]:
-    shape: dict[str, object] = {"by": stroke.by}
-    if stroke.brush != "grab":
-        shape = {name: x for name, x in (("angle", stroke.angle), ("factor", stroke.factor)) if x is not None}
-    shape.update({name: x for name, x in (("also", stroke.also), ("path", stroke.path)) if x})
-    if stroke.axis is not None:
-        shape["axis"] = stroke.axis
-    shape.update({name: True for name in ("chord", "isotropic") if getattr(stroke, name)})
-    entry: dict[str, object] = {
-        "brush": stroke.brush,
-        "at": stroke.at,
-        **shape,
-        "radius": stroke.radius,
-        "scales": stroke.scales,
-        "reach": stroke.reach,
-        **({} if stroke.time_radius is None else {"time_radius": stroke.time_radius}),
-        **({"flat": stroke.flat} if stroke.flat else {}),
-        "poisson": "-inf" if stroke.poisson == -math.inf else stroke.poisson,
-        "strength": stroke.strength,
-    }
-    if stroke.hidden:
-        entry["hidden"] = True
-    if stroke.name is not None:
-        entry["name"] = stroke.name
-    if stroke.matte is not None:
-        entry["matte"] = stroke.matte
-    if stroke.keys:
-        entry["keys"] = [_key_entry(key) for key in stroke.keys]
-    return {name: _plain(value) for name, value in entry.items()}
-
-
-def _key_entry(key: Key) -> dict[str, object]:
-    entry = {field.name: getattr(key, field.name) for field in fields(Key)}
-    return {name: _plain(value) for name, value in entry.items() if value is not None}
-
-
-def _known(names: Iterable[str], version: int) -> list[str]:
-    """Return the keys of a version."""
-    return [name for name in names if (version > 1 or name not in _NEW) and (version > 2 or name not in _NEWER)]
+def _made(kind: type[T], where: str, entry: object, *required: str) -> T:
+    """Return a value from the JSON object of its fields."""
+    if not isinstance(entry, dict):
+        refuse(where, "a JSON object", entry)
+    _check_keys(where, entry, [each.name for each in fields(kind)], required)
+    try:
+        return kind(**entry)
+    except SuppleError as error:
+        raise SuppleError(f"{where}: {error}") from None
 
 
 def _stroke(where: str, entry: object, version: int, world: bool) -> Stroke:
     if not isinstance(entry, dict):
         refuse(where, "a JSON object", entry)
-    known, end = (
-        _known([field.name for field in fields(Stroke)], version),
-        "to" if "to" in entry and version > 1 else "by",
-    )
     if "brush" in entry:
         choice(f"{where}: brush", entry["brush"], get_args(Brush))
-    needed = {"twist": "angle", "scale": "factor", "pinch": "factor", "freeze": "matte"}.get(
-        str(entry.get("brush")), end
-    )
-    _check_keys(where, entry, [*known, "to"] if version > 1 else known, ["brush", "at", needed, "radius"])
-    if end == "to":
-        if "by" in entry:
-            raise SuppleError(f'{where} takes one of "to" and "by", found both')
-        entry = {**entry, "by": _drag(where, entry["at"], entry["to"])}
-        del entry["to"]
-    if version == 1:
-        entry = {"poisson": POISSON, **entry, "reach": None}
-    if version < 3 and entry["brush"] == "twist":
-        entry = {**entry, "chord": True}
+    brush, end = entry.get("brush"), "to" if "to" in entry else "by"
+    needed = {"twist": "angle", "scale": "factor", "pinch": "factor", "freeze": "matte"}.get(str(brush), end)
+    _check_keys(where, entry, [*_ORDER, "to"], ["brush", "at", needed, "radius"])
+    usual: dict[str, object] = {"poisson": POISSON, "reach": None} if version == 1 else {}
+    if version < 3 and brush == "twist":
+        usual["chord"] = True
     if version < 3 and not world and isinstance(entry["at"], list) and len(entry["at"]) == 3:
-        entry = {**entry, "isotropic": True}
-    if entry.get("poisson") == "-inf":
-        entry["poisson"] = -math.inf
-    if "keys" in entry:
-        entry = {**entry, "keys": _keys(where, entry["keys"], version)}
+        usual["isotropic"] = True
+    entry = {**usual, **entry}
     try:
+        if end == "to":
+            if "by" in entry:
+                raise SuppleError('a grab takes one of "to" and "by", found both')
+            start = point("at", entry["at"])
+            entry["by"] = tuple(b - a for a, b in zip(start, point("to", entry.pop("to"), (len(start),)), strict=True))
+        if entry.get("poisson") == "-inf":
+            entry["poisson"] = -math.inf
+        if isinstance(keys := entry.get("keys"), list):
+            entry["keys"] = [_made(Key, f"keys[{i}]", key, "frame") for i, key in enumerate(keys)]
         if entry.get("matte") is not None:
-            entry = {**entry, "matte": Freeze.from_entry(entry["matte"], "matte")}
+            entry["matte"] = Freeze.from_entry(entry["matte"], "matte")
         return Stroke(**entry)
     except SuppleError as error:
         raise SuppleError(f"{where}: {error}") from None
 
 
-def _keys(where: str, entries: object, version: int) -> list[Key]:
-    if not isinstance(entries, list):
-        refuse(f"{where}: keys", "a list of objects with a frame", entries)
-    made = []
-    for i, entry in enumerate(entries):
-        name = f"{where}: keys[{i}]"
-        if not isinstance(entry, dict):
-            refuse(name, "an object with a frame, at, strength, angle or scale", entry)
-        known = [field.name for field in fields(Key) if version > 2 or field.name not in _OF_KEYS]
-        if new := next((key for key in entry if key in _OF_KEYS and key not in known), None):
-            raise SuppleError(
-                f'unknown key {value_shown(new)} in {name}: it is of version {VERSION} ("supple": {VERSION})'
-            )
-        _check_keys(name, entry, known, ["frame"])
-        try:
-            made.append(Key(**entry))
-        except SuppleError as error:
-            raise SuppleError(f"{name}: {error}") from None
-    return made
-
-
-def _drag(where: str, at: object, to: object) -> tuple[float, ...]:
-    try:
-        start = point("at", at)
-        return tuple(b - a for a, b in zip(start, point("to", to, (len(start),)), strict=True))
-    except SuppleError as error:
-        raise SuppleError(f"{where}: {error}") from None
-
-
-def _check_keys(where: str, entry: dict[str, object], known: list[str], required: list[str]) -> None:
+def _check_keys(where: str, entry: dict[str, object], known: Sequence[str], required: Sequence[str]) -> None:
     for key in entry:
         if key not in known:
             import difflib
 
             near = difflib.get_close_matches(key, known, n=1, cutoff=0.5)
             hint = f'did you mean "{near[0]}"?' if near else f"known are {', '.join(known)}"
-            if key in (*_NEW, *_NEWER):
-                version = 2 if key in _NEW else VERSION
-                hint = f'it is of version {version} ("supple": {version})'
             raise SuppleError(f"unknown key {value_shown(key)} in {where}: {hint}")
     for key in required:
         if key not in entry:
