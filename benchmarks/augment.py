@@ -17,7 +17,6 @@ from __future__ import annotations
 import argparse
 import os
 import sys
-import time
 import warnings
 from collections.abc import Callable, Iterator
 from importlib.metadata import version
@@ -31,8 +30,7 @@ os.environ.setdefault("OMP_NUM_THREADS", os.environ["SUPPLE_THREADS"])
 os.environ.setdefault("ITK_GLOBAL_DEFAULT_NUMBER_OF_THREADS", os.environ["SUPPLE_THREADS"])
 
 import numpy as np
-from paired import HEAD, Line, Work, against, alone, missed, seconds
-from place import wall
+from measure import HEAD, Line, Work, against, alone, cpu, missed, seconds, wall
 from scipy import ndimage
 
 import supple
@@ -46,12 +44,6 @@ AND_BACK = "; ours with its inverse"
 THREADS = int(os.environ["SUPPLE_THREADS"])
 Points = np.ndarray
 PairOf = tuple[str, Callable[[], tuple[Work, Work]], Callable[[], tuple[float, float]] | None]
-
-
-def cpu(work: Work) -> float:
-    start = time.process_time()
-    work()
-    return time.process_time() - start
 
 
 def picture() -> np.ndarray:

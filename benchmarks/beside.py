@@ -40,9 +40,7 @@ from beside_tools import (
     tools,
 )
 from beside_volume import volume
-from measure import kept, machine
-from paired import alone, in_turn, seconds
-from place import wall
+from measure import alone, in_turn, kept, machine, seconds, wall
 from scipy import ndimage
 
 import supple

@@ -9,8 +9,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from paired import alone, in_turn, seconds
-from place import wall
+from measure import alone, in_turn, seconds, wall
 from scipy import ndimage
 
 import supple

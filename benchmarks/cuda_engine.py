@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
-from paired import HEAD, Line, Spread, against, missed, rate, took
+from measure import HEAD, Line, Spread, against, missed, rate, took
 from place import Bench, Place, host, play, stroke, waves
 
 if TYPE_CHECKING:
@@ -90,7 +90,7 @@ def memory(b: Bench, d: supple.Deformation, given: Any) -> Line:
     volume = 4 * b.side**3
     own = b.place.kind == "own"  # whose arrays are in the pool
     most = beside / volume + (0 if own else 2)
-    return Line("the same, memory", value=Spread.of([most]), unit="volumes", bar=2.2)
+    return Line("the same, memory", value=Spread.of(most), unit="volumes", bar=2.2)
 
 
 def volume_against_torch(b: Bench) -> Iterator[Line]:
