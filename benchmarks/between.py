@@ -25,7 +25,7 @@ from typing import Any
 import av
 import numpy as np
 import numpy.typing as npt
-from measure import kept, machine
+from measure import kept, machine, psnr
 
 import supple
 from supple.engine.sampling import Sampling
@@ -37,11 +37,6 @@ Frame = tuple[Array, Array]  # luma (h, w, 1), chroma (h/2, w/2, 2)
 PAGE = Path(__file__).parent.parent / "docs" / "videos.md"
 REPEAT = 44.0  # dB: closer frames are the same one
 HEAD = "| clip | mixture | flow | gain | worst frame | `minterpolate` | CPU a frame |\n|---|---|---|---|---|---|---|"
-
-
-def psnr(one: Array, other: Array) -> float:
-    """Return the PSNR of luma in dB."""
-    return float(10 * np.log10(255**2 / max(np.mean((one[..., 0].astype(np.float64) - other[..., 0]) ** 2), 1e-3)))
 
 
 def frames_in(path: Path, most: int) -> list[Frame]:
@@ -153,20 +148,19 @@ def measured(
     name: str, frames: Sequence[Frame], ways: dict[str, Callable[[Sequence[Frame]], Any]]
 ) -> tuple[str, list[float]]:
     """Return a line of the table, and gain and worst gain."""
-    some, truth = frames[::2], frames[1::2]
+    some, truth = ([luma for luma, _ in part] for part in (frames[::2], frames[1::2]))
     scores: dict[str, Array] = {}
     cost = {}
     last = min(len(some) - 1, len(truth))
     asked = [
         k
         for k in range(last)
-        if max(psnr(truth[k][0], some[k][0]), psnr(truth[k][0], some[k + 1][0])) < REPEAT
-        or psnr(some[k][0], some[k + 1][0]) > REPEAT
+        if max(psnr(truth[k], some[k]), psnr(truth[k], some[k + 1])) < REPEAT or psnr(some[k], some[k + 1]) > REPEAT
     ]
     for way, make in ways.items():
-        made, seconds = make(some)
+        made, seconds = make(frames[::2])
         rows = [k for k in asked if k < len(made)]
-        scores[way] = np.array([psnr(made[k][0], truth[k][0]) for k in rows])
+        scores[way] = np.array([psnr(made[k][0], truth[k]) for k in rows])
         cost[way] = 1e3 * seconds / max(len(some) - 1, 1)
     n = min(map(len, scores.values()))
     gains = scores["flow"][:n] - scores["linear"][:n]

@@ -13,6 +13,9 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+import numpy.typing as npt
+
 Work = Callable[[], object]
 Clock = Callable[[Work], float]  # the seconds that some work takes
 
@@ -173,6 +176,17 @@ def figure(
 ) -> Line:
     """Return a line of a number that is measured once."""
     return Line(what, ours, peer, Spread.of(value), unit, bar, note)
+
+
+def grid_of(shape: Sequence[int]) -> npt.NDArray[np.float64]:
+    """Return the points of all samples, x first."""
+    return np.stack(np.meshgrid(*(np.arange(float(n)) for n in shape), indexing="ij")[::-1], axis=-1)
+
+
+def psnr(found: npt.ArrayLike, wanted: npt.ArrayLike) -> float:
+    """Return the peak signal to noise ratio in dB, for a white of 255."""
+    error = float(np.mean((np.asarray(found, np.float64) - np.asarray(wanted)) ** 2))
+    return float(10 * np.log10(255**2 / max(error, 1e-30)))
 
 
 def missed(lines: Iterable[Line]) -> bool:

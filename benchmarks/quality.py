@@ -9,7 +9,6 @@ pixels.
 from __future__ import annotations
 
 import argparse
-import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
@@ -19,6 +18,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 import skimage
+from measure import grid_of, psnr
 
 import supple
 
@@ -67,11 +67,6 @@ def photograph(path: Path) -> tuple[Floats, Bytes]:
     return full, np.rint(blocks.mean(axis=(1, 3))).astype(np.uint8)
 
 
-def pixels(height: int, width: int) -> Floats:
-    """Return the points of all pixels, x first."""
-    return np.stack(np.meshgrid(np.arange(float(width)), np.arange(float(height))), axis=-1)
-
-
 def places(n: int) -> list[tuple[float, float]]:
     """Return n × n places in a pixel, from its middle."""
     along = ((np.arange(n) + 0.5) / n - 0.5).tolist()
@@ -80,7 +75,7 @@ def places(n: int) -> list[tuple[float, float]]:
 
 def truth(full: Floats, d: supple.Deformation) -> Floats:
     """Return what is seen of the full photograph in each output pixel, on average."""
-    q = pixels(*d.shape)
+    q = grid_of(d.shape)
     total = np.zeros((*d.shape, full.shape[2]))
     for place in places(WITHIN):
         at = d.inverse(q + place).points * SMALLER + (SMALLER - 1) / 2
@@ -92,7 +87,7 @@ def truth(full: Floats, d: supple.Deformation) -> Floats:
 
 def shrinking(d: supple.Deformation) -> tuple[Floats, Floats]:
     """Return how far each output pixel's content came from, and σ₁ of M = ∂p/∂q there."""
-    q = pixels(*d.shape)
+    q = grid_of(d.shape)
     p = d.inverse(q).points
     sizes = np.linalg.svd(np.linalg.inv(d.jacobian(p)), compute_uv=False)
     inside = ((p >= MARGIN) & (p <= np.array(d.shape[::-1]) - 1 - MARGIN)).all(axis=-1)
@@ -101,7 +96,7 @@ def shrinking(d: supple.Deformation) -> tuple[Floats, Floats]:
 
 def remapped(image: Bytes, d: supple.Deformation, interpolation: int) -> npt.NDArray[np.generic]:
     """Return what OpenCV makes of the exact map."""
-    p = d.inverse(pixels(*d.shape)).points.astype(np.float32)
+    p = d.inverse(grid_of(d.shape)).points.astype(np.float32)
     return cv2.remap(image, p[..., 0], p[..., 1], interpolation, borderMode=cv2.BORDER_REPLICATE)
 
 
@@ -117,12 +112,6 @@ FILTERS: dict[str, Warp] = {
     "`cubic`": partial(warped, name="cubic"),
     "`auto`": partial(warped, name="auto"),
 }
-
-
-def psnr(found: npt.ArrayLike, wanted: npt.ArrayLike) -> float:
-    """Return the peak signal to noise ratio in dB, for a white of 255."""
-    error = np.asarray(found, np.float64) - np.asarray(wanted)
-    return 10 * math.log10(255**2 / float(np.mean(error**2)))
 
 
 def photographs(stroke: Stroke, filters: dict[str, Warp]) -> dict[str, list[float]]:
@@ -148,7 +137,7 @@ def rings(points: Floats) -> Floats:
 def zone_plate(filters: dict[str, Warp]) -> dict[str, list[float]]:
     """Return each filter's dB on a zone plate of 512², under the stroke of the paper's figure 6.1b."""
     d = supple.Deformation((512, 512), border=None).grab((256, 256), by=(0, 90), radius=100, reach=None)
-    q = pixels(512, 512)
+    q = grid_of((512, 512))
     image = np.rint(np.mean([rings(q + place) for place in places(WITHIN)], axis=0)).astype(np.uint8)
     wanted = np.mean([rings(d.inverse(q + place).points) for place in places(WITHIN)], axis=0)
     inside = shrinking(d)[1] > 0

@@ -11,9 +11,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import SimpleITK as sitk  # noqa: N813
-from measure import Line, against, alone, cpu, figure, seconds, wall
+from measure import Line, against, alone, cpu, figure, grid_of, psnr, seconds, wall
 from pictures import DATA, named, peak_above
-from quality import psnr
 from scipy import ndimage
 
 import supple
@@ -45,11 +44,6 @@ def noise(n: int) -> npt.NDArray[np.float32]:
 def bent(n: int, border: Border) -> supple.Deformation:
     d = supple.Deformation((n, n, n), border=border)
     return d.grab((n / 2, n / 2, n / 2), by=(0.08 * n, 0.04 * n, -0.03 * n), radius=0.24 * n, reach=None)
-
-
-def grid_of(shape: tuple[int, ...]) -> Array:
-    """Return the points of all voxels, x first."""
-    return np.stack(np.meshgrid(*(np.arange(float(n)) for n in shape), indexing="ij")[::-1], axis=-1)
 
 
 def field_of(d: supple.Deformation, sources: Array) -> Any:

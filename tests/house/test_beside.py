@@ -35,7 +35,7 @@ def beside(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
 
 def bump(beside: ModuleType, by: tuple[float, float]) -> npt.NDArray[np.float64]:
     """A map that shows at (40, 30) what is at (40, 30) - by, and moves less and less around it."""
-    q = beside.pixels(64, 80)
+    q = beside.grid_of((64, 80))
     weight = np.exp(-((q - (40.0, 30.0)) ** 2).sum(axis=-1) / 200)
     return np.asarray(q - weight[..., None] * by)
 
@@ -48,18 +48,18 @@ def test_where_a_point_arrives(beside: ModuleType) -> None:
 
 
 def test_folds_are_counted(beside: ModuleType) -> None:
-    assert beside.folded(beside.pixels(20, 30)) == 0
+    assert beside.folded(beside.grid_of((20, 30))) == 0
     # The slope of the bump's displacement is at most 1.21 / 20 of its height: from 16.5 pixels on, it folds.
     assert beside.folded(bump(beside, (16.0, 0.0))) == 0
     assert beside.folded(bump(beside, (17.5, 0.0))) > 0
-    mirrored = beside.pixels(20, 30)[:, ::-1]
+    mirrored = beside.grid_of((20, 30))[:, ::-1]
     assert beside.folded(mirrored) == 19 * 29
 
 
 def test_truth_of_the_identity_is_the_average(beside: ModuleType) -> None:
-    q = beside.pixels(60, 80)
+    q = beside.grid_of((60, 80))
     full = np.stack([np.sin(q[..., 0] / 3), np.cos(q[..., 1] / 4), np.sin(q.sum(axis=-1) / 5)], axis=-1) * 100
-    same = beside.truth(full, [beside.pixels(30, 40)])
+    same = beside.truth(full, [beside.grid_of((30, 40))])
     blocks = full.reshape(30, 2, 40, 2, 3).mean(axis=(1, 3))
     assert np.abs(same - blocks)[4:-4, 4:-4].max() < 1
 
@@ -78,7 +78,7 @@ def test_points_that_stay_are_away_from_strokes(beside: ModuleType) -> None:
 def test_supples_map_is_that_of_its_picture(beside: ModuleType) -> None:
     stroke = beside.Stroke((40.0, 30.0), (46.0, 33.0), 9.0)
     ours = beside.Supple()
-    q = beside.pixels(64, 80)
+    q = beside.grid_of((64, 80))
     ramp = np.repeat(np.rint(q[..., :1] * 3), 3, axis=-1).astype(np.uint8)
     assert np.abs(ours.warp(ramp, [stroke])[..., 0] / 3 - ours.map((64, 80), [stroke])[..., 0]).max() < 0.6
 
