@@ -179,7 +179,6 @@ def main() -> int:
     given = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     given.add_argument("--runs", type=int, default=15)
     given.add_argument("--wall", action="store_true", help="by the clock on the wall")
-    given.add_argument("--library", dest="only", help="of one library alone")
     options = given.parse_args()
     warnings.simplefilter("ignore")
     runs, clock = options.runs, wall if options.wall else cpu
@@ -191,8 +190,6 @@ def main() -> int:
     for name, rows in (
         ("albumentations", albumentations), ("torchvision", torchvision), ("monai", monai), ("torchio", torchio)
     ):  # fmt: skip
-        if options.only not in (None, name):
-            continue
         if find_spec(name) is None:
             lines.append(Line(name, bar=1.0, note=f"not installed: pip install {name}"))
             continue

