@@ -17,7 +17,6 @@ from __future__ import annotations
 import argparse
 import os
 import sys
-import time
 import warnings
 from collections.abc import Callable, Iterator
 from importlib.metadata import version
@@ -31,8 +30,7 @@ os.environ.setdefault("OMP_NUM_THREADS", os.environ["SUPPLE_THREADS"])
 os.environ.setdefault("ITK_GLOBAL_DEFAULT_NUMBER_OF_THREADS", os.environ["SUPPLE_THREADS"])
 
 import numpy as np
-from paired import HEAD, Line, Work, against, alone, missed, seconds
-from place import wall
+from measure import HEAD, Line, Work, against, alone, cpu, missed, seconds, wall
 from scipy import ndimage
 
 import supple
@@ -46,12 +44,6 @@ AND_BACK = "; ours with its inverse"
 THREADS = int(os.environ["SUPPLE_THREADS"])
 Points = np.ndarray
 PairOf = tuple[str, Callable[[], tuple[Work, Work]], Callable[[], tuple[float, float]] | None]
-
-
-def cpu(work: Work) -> float:
-    start = time.process_time()
-    work()
-    return time.process_time() - start
 
 
 def picture() -> np.ndarray:
@@ -187,7 +179,6 @@ def main() -> int:
     given = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     given.add_argument("--runs", type=int, default=15)
     given.add_argument("--wall", action="store_true", help="by the clock on the wall")
-    given.add_argument("--library", dest="only", help="of one library alone")
     options = given.parse_args()
     warnings.simplefilter("ignore")
     runs, clock = options.runs, wall if options.wall else cpu
@@ -199,8 +190,6 @@ def main() -> int:
     for name, rows in (
         ("albumentations", albumentations), ("torchvision", torchvision), ("monai", monai), ("torchio", torchio)
     ):  # fmt: skip
-        if options.only not in (None, name):
-            continue
         if find_spec(name) is None:
             lines.append(Line(name, bar=1.0, note=f"not installed: pip install {name}"))
             continue

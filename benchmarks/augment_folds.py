@@ -15,7 +15,7 @@ import multiprocessing
 import os
 import sys
 import time
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 
 import numpy as np
 
@@ -41,13 +41,11 @@ class Tally:
     found: list[str] = field(default_factory=list)
 
     def add(self, other: Tally) -> None:
-        self.draws += other.draws
-        self.strokes += other.strokes
-        self.steps += other.steps
-        self.triangles += other.triangles
-        self.margin, self.determinant = min(self.margin, other.margin), min(self.determinant, other.determinant)
-        self.farthest, self.back = max(self.farthest, other.farthest), max(self.back, other.back)
-        self.found += other.found
+        """Add the numbers of others; a least or a largest one is that of both."""
+        for each in fields(self):
+            both = getattr(self, each.name), getattr(other, each.name)
+            how = {"margin": min, "determinant": min, "farthest": max, "back": max}.get(each.name)
+            setattr(self, each.name, how(both) if how else both[0] + both[1])
 
 
 def drawn(seed: int) -> tuple[supple.Deformation, RandomElastic]:
@@ -74,26 +72,19 @@ def looked_at(seed: int, tally: Tally) -> None:
     points = rng.uniform(0, np.array(d.shape[::-1]) - 1, (POINTS, d.ndim))
     moved = d.forward(points)
     determinant = float(np.linalg.det(d.jacobian(points)).min())
-    farthest = float(np.linalg.norm((moved - points) * d.domain.spacing, axis=1).max())
+    farthest, most = float(np.linalg.norm((moved - points) * d.domain.spacing, axis=1).max()), augment.max_displacement
     inverse = d.inverse(moved)
     back = float(np.abs(inverse.points - points).max())
-    tally.draws += 1
-    tally.strokes += known["strokes"]
-    tally.steps += known["applied"]
-    tally.margin, tally.determinant = min(tally.margin, known["margin"]), min(tally.determinant, determinant)
-    if augment.max_displacement:
-        tally.farthest = max(tally.farthest, farthest / augment.max_displacement)
-    tally.back = max(tally.back, back)
-    if not known["margin"] > 0:
-        tally.found.append(f"seed {seed}: margin {known['margin']}")
-    if not determinant > 0:
-        tally.found.append(f"seed {seed}: determinant {determinant}")
-    if not inverse.converged.all() or not back < 1e-3:
-        tally.found.append(f"seed {seed}: a point comes back {back} samples from where it was")
-    if farthest > augment.max_displacement:
-        tally.found.append(
-            f"seed {seed}: a point moves by {farthest}, and at most {augment.max_displacement} was asked"
-        )
+    part = farthest / most if most else 0.0
+    tally.add(Tally(1, known["strokes"], known["applied"], known["margin"], determinant, part, back))
+    for good, text in (
+        (known["margin"] > 0, f"margin {known['margin']}"),
+        (determinant > 0, f"determinant {determinant}"),
+        (inverse.converged.all() and back < 1e-3, f"a point comes back {back} samples from where it was"),
+        (farthest <= most, f"a point moves by {farthest}, and at most {most} was asked"),
+    ):
+        if not good:
+            tally.found.append(f"seed {seed}: {text}")
     if seed % LOOKED_CLOSER == 0:
         turned, count = triangles(d, rng)
         tally.triangles += count

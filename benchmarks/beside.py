@@ -3,7 +3,7 @@
     python benchmarks/beside.py                    prints the tables, in some minutes
     python benchmarks/beside.py --quick            once each, and smaller; its figures mean nothing
     python benchmarks/beside.py --write            keeps the tables in docs/comparison.md
-    python benchmarks/beside.py --pictures DIR     makes that page's pictures
+    python benchmarks/beside_pictures.py DIR       makes that page's pictures
 
 GIMP's warp is run by the program gegl, and ImageMagick by its own (on Debian: apt install gegl imagemagick). The others
 are in the `bench` extra, except for OpenCV's thin-plate spline, which only opencv-contrib-python has. What is not
@@ -24,25 +24,9 @@ from pathlib import Path
 os.environ.setdefault("SUPPLE_THREADS", "2")
 
 import numpy as np
-from beside_tools import (
-    Array,
-    Floats,
-    Magick,
-    OpenCV,
-    Spline,
-    Stroke,
-    Supple,
-    Tool,
-    loaded,
-    pixels,
-    sampled,
-    saved,
-    tools,
-)
+from beside_tools import Array, Floats, Program, Stroke, Supple, Tool, loaded, sampled, saved, tools
 from beside_volume import volume
-from measure import kept, machine
-from paired import alone, in_turn, seconds
-from place import wall
+from measure import alone, grid_of, in_turn, kept, machine, psnr, seconds, wall
 from scipy import ndimage
 
 import supple
@@ -92,7 +76,7 @@ def dragged(picture: Array, stroke: Stroke, runs: int) -> Iterator[str]:
     )
     yield "|---|---|---|---|---|---|---|---|"
     shape = (picture.shape[0], picture.shape[1])
-    q = pixels(*shape)
+    q = grid_of(shape)
     far = np.linalg.norm(q - stroke.start, axis=-1) > FAR * stroke.radius
     far &= np.linalg.norm(q - stroke.end, axis=-1) > FAR * stroke.radius
     ours = Supple()
@@ -125,8 +109,8 @@ def commands(picture: Array, stroke: Stroke, runs: int) -> Iterator[str]:
 
         yield f"| Supple | {seconds(alone(ours, wall, runs).median)} | | |"
         for tool in tools():
-            theirs = None if tool.missing else tool.command(source, out / "theirs.png", stroke)
-            if theirs:
+            if isinstance(tool, Program) and not tool.missing:
+                theirs = tool.command(source, out / "theirs.png", [stroke])
                 yield f"| {tool.name} | {in_turn(lambda words=theirs: run(words), ours, wall, runs)} |"
 
 
@@ -166,7 +150,8 @@ def truth(full: Floats, maps: Sequence[Floats]) -> Floats:
     for v in along:
         for u in along:
             at = (
-                reduce(lambda q, of: sampled(of, q), reversed(maps), pixels(height, width) + np.array([u, v])) * 2 + 0.5
+                reduce(lambda q, of: sampled(of, q), reversed(maps), grid_of((height, width)) + np.array([u, v])) * 2
+                + 0.5
             )
             places = [at[..., 1], at[..., 0]]
             for k, band in enumerate(bands):
@@ -182,7 +167,7 @@ def detail(values: Floats, where: Array) -> float:
 
 def ways(tool: Tool, strokes: list[Stroke]) -> list[tuple[str, list[list[Stroke]]]]:
     """What is sampled once, and what again for each stroke."""
-    if isinstance(tool, (Magick, Spline, OpenCV)):
+    if tool.points:
         return [(f"{tool.name}, all points at once", [strokes]), (f"{tool.name}, in turn", [[s] for s in strokes])]
     return [(tool.name, [strokes])]
 
@@ -205,14 +190,13 @@ def sharp(quick: bool) -> Iterator[str]:
                 bent = reduce(tool.warp, steps, picture).astype(np.float64)
                 wanted = truth(full, maps)
                 starts = np.array([stroke.start for step in steps for stroke in step])
-                away = np.linalg.norm(pixels(*shape)[:, :, None] - starts, axis=-1).min(axis=-1)
+                away = np.linalg.norm(grid_of(shape)[:, :, None] - starts, axis=-1).min(axis=-1)
                 where = away < NEAR * steps[0][0].radius  # the same pixels for all
                 edge = np.zeros(shape, bool)
                 edge[MARGIN:-MARGIN, MARGIN:-MARGIN] = True
                 where &= edge
-                noise = float(((bent - wanted)[where] ** 2).mean())
                 kept_detail = detail(bent, where) / detail(wanted, where)
-                found.setdefault(name, []).append((10 * np.log10(255**2 / noise), kept_detail, len(steps)))
+                found.setdefault(name, []).append((psnr(bent[where], wanted[where]), kept_detail, len(steps)))
         for name, each in found.items():
             decibels, fine, count = np.mean(each, axis=0)
             yield f"| {name} | {decibels:.1f} dB | {100 * fine:.0f} % | {'once' if count == 1 else '10 times'} |"
@@ -232,15 +216,9 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--quick", action="store_true", help="once each, and smaller")
     parser.add_argument("--write", action="store_true", help="keep the tables in docs/comparison.md")
-    parser.add_argument("--pictures", type=Path, metavar="DIR", help="make the pictures instead")
     asked = parser.parse_args()
     if asked.write and asked.quick:
         parser.error("--write keeps whole tables: leave out --quick")
-    if asked.pictures:
-        import beside_pictures
-
-        beside_pictures.make(asked.pictures)
-        return 0
     runs = 1 if asked.quick else 7
     picture = loaded(DATA / "astronaut.jpg")
     mild, strong = MILD, STRONG

@@ -1,8 +1,9 @@
-"""The pictures of docs/comparison.md: `python benchmarks/beside.py --pictures docs/images`. They need matplotlib."""
+"""The pictures of docs/comparison.md: `python benchmarks/beside_pictures.py docs/images`. They need matplotlib."""
 
 from __future__ import annotations
 
 import io
+import sys
 from collections.abc import Sequence
 from functools import reduce
 from pathlib import Path
@@ -11,9 +12,10 @@ import beside_volume as volume
 import numpy as np
 import pyvips
 from beside import DATA, STRONG, halved, ten, truth
-from beside_tools import Array, Magick, Spline, Tool, loaded, pixels, tools
+from beside_tools import Array, Tool, loaded, tools
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
+from measure import grid_of
 from scipy import ndimage
 
 import supple
@@ -68,7 +70,7 @@ def pulled(folder: Path) -> None:
     written(figure, folder / "beside-drag.webp")
     figure, axes = panels(len(chosen), 2.4, 2.4)
     for axis, tool in zip(axes, chosen, strict=True):
-        moved = np.linalg.norm(tool.map(shape, [STRONG]) - pixels(*shape), axis=-1)
+        moved = np.linalg.norm(tool.map(shape, [STRONG]) - grid_of(shape), axis=-1)
         axis.imshow(np.maximum(moved, 0.01), norm=LogNorm(0.01, 50), cmap="magma")
         axis.set_title(short(tool), fontsize=10)
     written(figure, folder / "beside-moved.webp")
@@ -82,7 +84,7 @@ def strokes(folder: Path) -> None:
     part = np.s_[26:86, 34:104]
     shown: list[tuple[str, Array]] = []
     for tool in there():
-        turns: list[Sequence] = [[stroke] for stroke in each] if isinstance(tool, (Magick, Spline)) else [each]
+        turns: list[Sequence] = [[stroke] for stroke in each] if tool.points else [each]
         if not shown:
             shown.append(("truth, of ours", truth(full, [tool.map(shape, each)])))
         shown.append((short(tool) + (", in turn" if len(turns) > 1 else ""), reduce(tool.warp, turns, picture)))
@@ -110,7 +112,7 @@ def head(folder: Path) -> None:
         axis.set_title(name, fontsize=10)
     start = volume.START[1:]
     axes[0].annotate("", start + volume.BY[1:], start, arrowprops={"arrowstyle": "->", "color": "#20e0ff", "lw": 2})
-    off = np.linalg.norm(d.forward(d.inverse_map()) - volume.grid_of(samples.shape), axis=-1) * volume.SPACING
+    off = np.linalg.norm(d.forward(d.inverse_map()) - grid_of(samples.shape), axis=-1) * volume.SPACING
     errors = {"Supple's inverse is off by": off, "SimpleITK's, by its defaults": volume.returned(back, forth)}
     for axis, (name, values) in zip(axes[3:], errors.items(), strict=True):
         axis.imshow(np.maximum(values[:, :, x], 0.001), origin="lower", norm=LogNorm(0.001, 10), cmap="magma")
@@ -118,9 +120,8 @@ def head(folder: Path) -> None:
     written(figure, folder / "beside-volume.webp")
 
 
-def make(folder: Path) -> None:
-    """Make all."""
+if __name__ == "__main__":
+    folder = Path(sys.argv[1])
     folder.mkdir(parents=True, exist_ok=True)
-    pulled(folder)
-    strokes(folder)
-    head(folder)
+    for each in (pulled, strokes, head):
+        each(folder)

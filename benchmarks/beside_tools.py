@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pyvips
+from measure import grid_of
 from scipy import ndimage
 
 import supple
@@ -45,11 +46,6 @@ class Stroke:
         return Stroke((x0 / 2, y0 / 2), (x1 / 2, y1 / 2), self.radius / 2)
 
 
-def pixels(height: int, width: int) -> Floats:
-    """The points of all pixels, x first."""
-    return np.stack(np.meshgrid(np.arange(float(width)), np.arange(float(height))), axis=-1)
-
-
 def staying(shape: tuple[int, int], strokes: Sequence[Stroke]) -> list[Point]:
     """Points that are to stay, for tools that move all that is not held: a grid, away from all strokes."""
     radius = strokes[0].radius
@@ -69,7 +65,7 @@ def pairs(shape: tuple[int, int], strokes: Sequence[Stroke]) -> tuple[Array, Arr
 
 def sampled(of: Floats, at: Floats) -> Floats:
     """A map at any points: the displacement between pixels is a cubic spline."""
-    moved = of - pixels(*of.shape[:2])
+    moved = of - grid_of(of.shape[:2])
     places = [at[..., 1], at[..., 0]]
     return at + np.stack([ndimage.map_coordinates(moved[..., k], places, order=3, mode="nearest") for k in (0, 1)], -1)
 
@@ -79,6 +75,7 @@ class Tool:
 
     name = ""
     missing = ""  # in place of a measurement, why there is none
+    points = False  # whether it moves points to points: then a stroke in turn samples again
 
     def warp(self, picture: Array, strokes: Sequence[Stroke]) -> Array:
         """The picture, uint8 RGB, bent by all strokes, sampled as often as the tool does so."""
@@ -87,10 +84,6 @@ class Tool:
     def map(self, shape: tuple[int, int], strokes: Sequence[Stroke]) -> Floats:
         """Which point each pixel shows."""
         raise NotImplementedError
-
-    def command(self, source: Path, target: Path, stroke: Stroke) -> list[str] | None:
-        """What a shell would run for one stroke, if the tool is a program."""
-        return None
 
 
 class Supple(Tool):
@@ -133,22 +126,22 @@ def loaded(path: Path) -> Array:
 
 def ramps(height: int, width: int) -> Array:
     """A picture of its own coordinates, from 0 to 1."""
-    x, y = np.moveaxis((pixels(height, width) + 0.5) / (width, height), -1, 0)
+    x, y = np.moveaxis((grid_of((height, width)) + 0.5) / (width, height), -1, 0)
     return np.stack([x, y, np.full_like(x, 0.5)], axis=-1).astype(np.float32)
 
 
 class Program(Tool):
     """A tool that reads and writes files."""
 
-    def files(self, source: Path, target: Path, strokes: Sequence[Stroke]) -> list[list[str]]:
-        """The commands that bend one file to another."""
+    def command(self, source: Path, target: Path, strokes: Sequence[Stroke]) -> list[str]:
+        """The command that bends one file to another, as a shell would run it."""
         raise NotImplementedError
 
     def run(self, source: Path, target: Path, strokes: Sequence[Stroke]) -> None:
-        for command in self.files(source, target, strokes):
-            done = subprocess.run(command, capture_output=True, text=True, timeout=120)
-            if done.returncode or not target.exists():
-                raise RuntimeError(f"{command[0]} failed: {done.stderr.strip()[:200]}")
+        command = self.command(source, target, strokes)
+        done = subprocess.run(command, capture_output=True, text=True, timeout=120)
+        if done.returncode or not target.exists():
+            raise RuntimeError(f"{command[0]} failed: {done.stderr.strip()[:200]}")
 
     def warp(self, picture: Array, strokes: Sequence[Stroke]) -> Array:
         with tempfile.TemporaryDirectory() as folder:
@@ -173,14 +166,11 @@ class Gimp(Program):
         if shutil.which("gegl") is None:
             self.missing = "the program gegl is not installed"
 
-    def files(self, source: Path, target: Path, strokes: Sequence[Stroke]) -> list[list[str]]:
+    def command(self, source: Path, target: Path, strokes: Sequence[Stroke]) -> list[str]:
         image = pyvips.Image.new_from_file(str(source))
         graph = target.with_suffix(".xml")
         graph.write_text(self.graph(source, (image.height, image.width), strokes), encoding="utf-8")
-        return [["gegl", str(graph), "-o", str(target)]]
-
-    def command(self, source: Path, target: Path, stroke: Stroke) -> list[str]:
-        return self.files(source, target, [stroke])[0]
+        return ["gegl", str(graph), "-o", str(target)]
 
     def graph(self, source: Path, shape: tuple[int, int], strokes: Sequence[Stroke]) -> str:
         def node(operation: str, inside: str = "", **values: object) -> str:
@@ -210,7 +200,7 @@ class Gimp(Program):
 class Magick(Program):
     """ImageMagick's `-distort Shepards`, which moves points to points, by inverse distances; its sharpest filter."""
 
-    name = "ImageMagick, Shepards"
+    name, points = "ImageMagick, Shepards", True
     how = ("-virtual-pixel", "edge", "-filter", "LanczosSharp", "-distort", "Shepards")
 
     def __init__(self) -> None:
@@ -227,22 +217,19 @@ class Magick(Program):
                     return name
         return ""
 
-    def files(self, source: Path, target: Path, strokes: Sequence[Stroke]) -> list[list[str]]:
+    def command(self, source: Path, target: Path, strokes: Sequence[Stroke]) -> list[str]:
         image = pyvips.Image.new_from_file(str(source))
         start, end = pairs((image.height, image.width), strokes)
         words = " ".join(
             f"{x0 + 0.5:.3f},{y0 + 0.5:.3f} {x1 + 0.5:.3f},{y1 + 0.5:.3f}"
             for (x0, y0), (x1, y1) in zip(start, end, strict=True)
         )
-        return [[self.program, str(source), *self.how, words, str(target)]]
-
-    def command(self, source: Path, target: Path, stroke: Stroke) -> list[str]:
-        return self.files(source, target, [stroke])[0]
+        return [self.program, str(source), *self.how, words, str(target)]
 
     def map(self, shape: tuple[int, int], strokes: Sequence[Stroke]) -> Floats:
         """By its documented formula; a picture of coordinates of 16 bits agreed within 0.05 pixels."""
         start, end = pairs(shape, strokes)
-        q = pixels(*shape)
+        q = grid_of(shape)
         weight = 1 / np.maximum(((q[:, :, None] - end) ** 2).sum(axis=-1), 1e-12)
         return np.asarray(q + np.einsum("hwk,kc->hwc", weight, start - end) / weight.sum(axis=-1)[..., None])
 
@@ -250,7 +237,7 @@ class Magick(Program):
 class Spline(Tool):
     """scikit-image's thin-plate spline through all points, sampled by its cubic."""
 
-    name = "scikit-image, thin plate"
+    name, points = "scikit-image, thin plate", True
 
     def __init__(self) -> None:
         try:
@@ -273,14 +260,14 @@ class Spline(Tool):
         return np.clip(np.rint(bent), 0, 255).astype(np.uint8)
 
     def map(self, shape: tuple[int, int], strokes: Sequence[Stroke]) -> Floats:
-        q = pixels(*shape)
+        q = grid_of(shape)
         return np.asarray(self.fitted(shape, strokes)(q.reshape(-1, 2)), np.float64).reshape(q.shape)
 
 
 class OpenCV(Tool):
     """OpenCV's thin-plate spline, which is in its contributed modules, sampled by its cubic."""
 
-    name = "OpenCV, thin plate"
+    name, points = "OpenCV, thin plate", True
 
     def __init__(self) -> None:
         try:
@@ -302,7 +289,7 @@ class OpenCV(Tool):
         return self.bent(picture, strokes)
 
     def map(self, shape: tuple[int, int], strokes: Sequence[Stroke]) -> Floats:
-        wide = np.pad(pixels(*shape), ((0, 0), (0, 0), (0, 1)))
+        wide = np.pad(grid_of(shape), ((0, 0), (0, 0), (0, 1)))
         return self.bent(wide.astype(np.float32), strokes)[..., :2].astype(np.float64)
 
 

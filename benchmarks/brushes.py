@@ -13,14 +13,17 @@ from __future__ import annotations
 import argparse
 import itertools
 import sys
-import time
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
-from paired import HEAD, Work, against, missed
+import numpy.typing as npt
+from measure import HEAD, Line, Work, against, missed, shown, wall
 
 import supple
 from supple.strokes import Stroke
+
+Array = npt.NDArray[np.uint8]
 
 SHAPE, RADIUS, BAR = (1080, 1920), 120.0, 1.5
 CENTRE = ((960.0, 540.0),)
@@ -34,31 +37,22 @@ BRUSHES: dict[str, dict[str, Any]] = {
 }
 
 
-def clock(work: Work) -> float:
-    """Return the seconds that some work takes."""
-    start = time.perf_counter()
-    work()
-    return time.perf_counter() - start
-
-
-def warp(photo: np.ndarray[Any, np.dtype[np.uint8]], count: int, stroke: dict[str, Any]) -> Work:
-    """Return a whole warp by so many strokes, as defaults have it; each of them is resolved anew."""
-    points = POINTS if count > 1 else CENTRE
+def warp(photo: Array, strokes: list[dict[str, Any]], steps: int | None = None) -> Work:
+    """Return a whole warp by strokes, which are resolved anew, each in so many steps if that is given."""
     turns = itertools.count()
 
     def work() -> object:
         # Of its own for each run, or the limits of folding would be known from the run before.
-        radius = RADIUS + 1e-6 * next(turns)
-        d = supple.Deformation(SHAPE)
-        for at in points:
-            d = d.add(Stroke(at=at, radius=radius, **stroke))
-        assert len(d.space.table) == count
+        more, d = 1e-6 * next(turns), supple.Deformation(SHAPE)
+        for stroke in strokes:
+            d = d.add(Stroke(**{**stroke, "radius": stroke["radius"] + more}), warn=False)
+        assert steps is None or len(d.space.table) == steps * len(strokes)
         return d.warp(photo)
 
     return work
 
 
-def scattered(count: int) -> np.ndarray[Any, np.dtype[np.float64]]:
+def scattered(count: int) -> npt.NDArray[np.float64]:
     """Return points at least 60 pixels apart."""
     rng, found = np.random.default_rng(0), np.empty((0, 2))
     while len(found) < count:
@@ -68,16 +62,27 @@ def scattered(count: int) -> np.ndarray[Any, np.dtype[np.float64]]:
     return found
 
 
-def made(photo: np.ndarray[Any, np.dtype[np.uint8]], **stroke: Any) -> Work:
-    """Return a whole warp by one stroke, in as many steps as it takes, resolved anew."""
-    turns = itertools.count()
-
-    def work() -> object:
-        # As above: of its own for each run.
-        one = Stroke(**{**stroke, "radius": stroke["radius"] + 1e-6 * next(turns)})
-        return supple.Deformation(SHAPE).add(one).warp(photo)
-
-    return work
+def lines(runs: int) -> Iterator[Line]:
+    """Yield the lines of the table."""
+    photo = np.random.default_rng(1).integers(0, 256, (*SHAPE, 3), np.uint8)
+    for points in (CENTRE, POINTS):
+        grabs, *others = ([{"at": at, "radius": RADIUS, **one} for at in points] for one in (GRAB, *BRUSHES.values()))
+        count = len(points)
+        for name, strokes in zip(BRUSHES, others, strict=True):
+            what = f"{name}, beside a grab" if count == 1 else f"{count} times {name}, beside {count} grabs"
+            yield against(what, warp(photo, strokes, 1), warp(photo, grabs, 1), wall, runs, BAR)
+    points = scattered(200)
+    by = 10 * np.stack([np.cos(np.arange(200.0)), np.sin(np.arange(200.0))], axis=-1)
+    pull = Stroke.pull(points, to=points + by, radius=70)
+    handles = {"at": pull.at, "by": pull.by, "also": pull.also, "radius": pull.radius}
+    grab = {"at": CENTRE[0], "by": (76.0, 76.0), "radius": 162.0}
+    yield against("a pull of 200 pairs, beside a grab", warp(photo, [handles]), warp(photo, [grab]), wall, runs, 10)
+    turn = np.linspace(0, np.pi, 100)
+    way = np.stack([960 - 80 * np.cos(turn), 540 + 80 * np.sin(turn)], axis=-1).tolist()
+    path = {"at": way[0], "by": (160.0, 0.0), "path": way[1:-1], "radius": 100.0}
+    straight = {"at": way[0], "by": (80 * np.pi, 0.0), "radius": 100.0}
+    what = "a path of 100 points, beside a straight drag of its length"
+    yield against(what, warp(photo, [path]), warp(photo, [straight]), wall, runs, 4)
 
 
 def main() -> int:
@@ -85,32 +90,8 @@ def main() -> int:
     parser = argparse.ArgumentParser()
     parser.add_argument("--runs", type=int, default=15)
     runs = parser.parse_args().runs
-    photo = np.random.default_rng(1).integers(0, 256, (*SHAPE, 3), np.uint8)
-    lines = []
     print(HEAD)
-    for count in (1, len(POINTS)):
-        for name, stroke in BRUSHES.items():
-            what = f"{name}, beside a grab" if count == 1 else f"{count} times {name}, beside {count} grabs"
-            line = against(what, warp(photo, count, stroke), warp(photo, count, GRAB), clock, runs, BAR)
-            lines.append(line)
-            print(line, flush=True)
-    points = scattered(200)
-    by = 10 * np.stack([np.cos(np.arange(200.0)), np.sin(np.arange(200.0))], axis=-1)
-    pull = Stroke.pull(points, to=points + by, radius=70)
-    grab = {"at": CENTRE[0], "by": (76.0, 76.0), "radius": 162.0}
-    handles = {"at": pull.at, "by": pull.by, "also": pull.also, "radius": pull.radius}
-    lines.append(
-        against("a pull of 200 pairs, beside a grab", made(photo, **handles), made(photo, **grab), clock, runs, 10)
-    )
-    print(lines[-1], flush=True)
-    turn = np.linspace(0, np.pi, 100)
-    way = np.stack([960 - 80 * np.cos(turn), 540 + 80 * np.sin(turn)], axis=-1).tolist()
-    path = {"at": way[0], "by": (160.0, 0.0), "path": way[1:-1], "radius": 100.0}
-    straight = {"at": way[0], "by": (80 * np.pi, 0.0), "radius": 100.0}
-    what = "a path of 100 points, beside a straight drag of its length"
-    lines.append(against(what, made(photo, **path), made(photo, **straight), clock, runs, 4))
-    print(lines[-1], flush=True)
-    return int(missed(lines))
+    return int(missed(shown(lines(runs))))
 
 
 if __name__ == "__main__":

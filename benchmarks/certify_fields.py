@@ -29,18 +29,18 @@ from supple.space.geometry import Grid
 Floats = npt.NDArray[np.float64]
 Rng = np.random.Generator
 KINDS = (
-    "smooth",
-    "rough",
-    "folded",
-    "cut",
-    "blocks",
-    "sliding",
-    "one axis",
-    "squeezed",
-    "constant",
-    "collapsed",
-    "bent",
-)
+    "smooth", "rough", "folded", "cut", "blocks", "sliding", "one axis", "squeezed", "constant", "collapsed", "bent",
+)  # fmt: skip
+
+
+def log_uniform(rng: Rng, low: float, high: float, size: int | None = None) -> Any:
+    return np.exp(rng.uniform(np.log(low), np.log(high), size))
+
+
+def box_in(rng: Rng, shape: tuple[int, ...]) -> tuple[slice, ...]:
+    """Return a random box of up to half of a grid along each axis."""
+    low = [int(rng.integers(0, s)) for s in shape]
+    return tuple(slice(a, a + int(rng.integers(1, max(2, s // 2 + 1)))) for a, s in zip(low, shape, strict=True))
 
 
 @dataclass(frozen=True)
@@ -72,63 +72,54 @@ def waves(rng: Rng, shape: tuple[int, ...], width: float, steepness: float) -> F
 
 def displacement(rng: Rng, kind: str, shape: tuple[int, ...]) -> Floats:
     """Return displacements of a kind, in samples along the axes of the index."""
-    n = len(shape)
-    width = float(np.exp(rng.uniform(np.log(0.5), np.log(8))))
-    if kind == "smooth":
-        return waves(rng, shape, width, float(np.exp(rng.uniform(np.log(0.01), np.log(0.8)))))
-    if kind == "rough":
-        return np.asarray(rng.uniform(-1, 1, (*shape, n)) * np.exp(rng.uniform(np.log(0.02), np.log(1.0))))
-    if kind == "folded":
-        return waves(rng, shape, width, float(rng.uniform(0.8, 5)))
-    if kind == "cut":
-        steep = float(rng.uniform(0.1, 1.2))
-        return waves(rng, shape, 4 * width, steep) + rng.normal(size=n) * rng.choice([0.3, 3, max(shape) / 2])
-    if kind == "blocks":
-        made = waves(rng, shape, width, float(rng.uniform(0.2, 1.5)))
-        for _ in range(int(rng.integers(1, 6))):
-            low = [int(rng.integers(0, s)) for s in shape]
-            box = tuple(slice(a, a + int(rng.integers(1, max(2, s // 2 + 1)))) for a, s in zip(low, shape, strict=True))
-            made[box] = rng.choice([0.0, 0.0, rng.normal()])
-        return made
-    if kind == "sliding":
-        made = waves(rng, shape, width, float(rng.uniform(0.05, 0.6)))
-        axis, cut = int(rng.integers(n)), int(rng.integers(1, max(shape) + 1))
-        index = np.indices(shape)[axis] >= cut
-        along = rng.normal(size=n) * rng.choice([0.3, 2.0])
-        if rng.random() < 0.6:
-            along[n - 1 - axis] = rng.uniform(0, 1)
-        return np.asarray(made + np.where(index[..., None], along, 0.0))
-    if kind in ("one axis", "squeezed"):
-        # x -> f(x) along one axis, with slopes of all sizes; a little of all else
-        axis = int(rng.integers(n))
-        size = shape[axis]
-        slopes = np.exp(rng.uniform(np.log(1e-4), np.log(4), size))
-        if kind == "one axis":
-            slopes *= np.where(rng.random(size) < rng.choice([0.0, 0.1, 0.3]), -1, 1)
-        places = np.cumsum(slopes)
-        if kind == "squeezed":
-            places *= size / places[-1]
-        made = np.zeros((*shape, n))
-        u = places - places[size // 2] - (np.arange(size) - size // 2)
-        made[..., n - 1 - axis] = u.reshape([-1 if k == axis else 1 for k in range(n)])
-        if rng.random() < 0.5:
-            made += rng.normal(size=made.shape) * np.exp(rng.uniform(np.log(1e-4), np.log(0.1)))
-        return made
-    if kind == "constant":
-        return np.asarray(np.zeros((*shape, n)) + rng.normal(size=n) * rng.choice([0.0, 0.5, 10.0, 1e3, 1e5]))
-    if kind == "bent":  # a strip, along a part of a circle or more than one: its ends may lie on each other
-        index = np.stack(np.indices(shape)[::-1], -1).astype(np.float64)
-        made, (sizes, turn) = np.zeros((*shape, n)), (shape[:-3:-1], rng.uniform(1, 9))
-        radius, angle = sizes[0] / turn + sizes[1] / 2 - index[..., 1], turn * index[..., 0] / sizes[0]
-        made[..., 0] = sizes[0] / 2 + radius * np.sin(angle) - index[..., 0]
-        made[..., 1] = sizes[1] / 2 - radius * np.cos(angle) - index[..., 1]
-        return made
-    made = waves(rng, shape, width, 0.3)  # collapsed: part of it is mapped to a plane, a line or a point
+    n, width = len(shape), float(log_uniform(rng, 0.5, 8))
     index = np.stack(np.indices(shape)[::-1], -1).astype(np.float64)
-    some = rng.random(n) < 0.6
-    low = [int(rng.integers(0, s)) for s in shape]
-    box = tuple(slice(a, a + int(rng.integers(1, max(2, s // 2 + 1)))) for a, s in zip(low, shape, strict=True))
-    made[box] = np.where(some, low[::-1] - index[box], made[box])
+    still = np.zeros((*shape, n))
+    match kind:
+        case "smooth":
+            return waves(rng, shape, width, float(log_uniform(rng, 0.01, 0.8)))
+        case "rough":
+            return np.asarray(rng.uniform(-1, 1, (*shape, n)) * log_uniform(rng, 0.02, 1.0))
+        case "folded":
+            return waves(rng, shape, width, float(rng.uniform(0.8, 5)))
+        case "cut":
+            steep = float(rng.uniform(0.1, 1.2))
+            return waves(rng, shape, 4 * width, steep) + rng.normal(size=n) * rng.choice([0.3, 3, max(shape) / 2])
+        case "constant":
+            return still + rng.normal(size=n) * rng.choice([0.0, 0.5, 10.0, 1e3, 1e5])
+        case "blocks":
+            made = waves(rng, shape, width, float(rng.uniform(0.2, 1.5)))
+            for _ in range(int(rng.integers(1, 6))):
+                made[box_in(rng, shape)] = rng.choice([0.0, 0.0, rng.normal()])
+        case "sliding":
+            made = waves(rng, shape, width, float(rng.uniform(0.05, 0.6)))
+            axis, cut = int(rng.integers(n)), int(rng.integers(1, max(shape) + 1))
+            along = rng.normal(size=n) * rng.choice([0.3, 2.0])
+            if rng.random() < 0.6:
+                along[n - 1 - axis] = rng.uniform(0, 1)
+            made += np.where(index[..., n - 1 - axis, None] >= cut, along, 0.0)
+        case "one axis" | "squeezed":  # x -> f(x) along one axis, with slopes of all sizes; a little of all else
+            made, axis = still, int(rng.integers(n))
+            size = shape[axis]
+            slopes = log_uniform(rng, 1e-4, 4, size)
+            if kind == "one axis":
+                slopes *= np.where(rng.random(size) < rng.choice([0.0, 0.1, 0.3]), -1, 1)
+            places = np.cumsum(slopes)
+            if kind == "squeezed":
+                places *= size / places[-1]
+            u = places - places[size // 2] - (np.arange(size) - size // 2)
+            made[..., n - 1 - axis] = u.reshape([-1 if k == axis else 1 for k in range(n)])
+            if rng.random() < 0.5:
+                made += rng.normal(size=made.shape) * log_uniform(rng, 1e-4, 0.1)
+        case "bent":  # a strip, along a part of a circle or more than one: its ends may lie on each other
+            made, (sizes, turn) = still, (shape[:-3:-1], rng.uniform(1, 9))
+            radius, angle = sizes[0] / turn + sizes[1] / 2 - index[..., 1], turn * index[..., 0] / sizes[0]
+            made[..., 0] = sizes[0] / 2 + radius * np.sin(angle) - index[..., 0]
+            made[..., 1] = sizes[1] / 2 - radius * np.cos(angle) - index[..., 1]
+        case _:  # collapsed: part of it is mapped to a plane, a line or a point
+            made, some, box = waves(rng, shape, width, 0.3), rng.random(n) < 0.6, box_in(rng, shape)
+            low = index[tuple(part.start for part in box)]
+            made[box] = np.where(some, low - index[box], made[box])
     return made
 
 
@@ -151,7 +142,7 @@ def case_of(seed: int, case: int, solves: int) -> Case:
     values = displacement(rng, kind, shape) @ grid.matrix[:n, :n].T
     beyond: Any = rng.choice(["zero", "edge"])
     field = Field(values.astype(dtype), grid, interpolation, beyond)
-    tolerance = float(np.exp(rng.uniform(np.log(1e-6), np.log(0.5))))
+    tolerance = float(log_uniform(rng, 1e-6, 0.5))
     # A grid of about that many samples over the field, and what is beside it.
     turned = direction @ special_ortho_group.rvs(n, random_state=rng) if rng.random() < 0.4 else direction
     extent = np.multiply(grid.sizes, spacing)
@@ -189,14 +180,11 @@ def run(seed: int, case: int, solves: int, searches: int, tally: Counter[str]) -
     tally["undecided"] += result.undecided
     for name, count in found.counts.items():
         tally[f"status {name}"] += count
-    kinds = Counter(VERDICTS[verdict] for _, verdict, _ in result.wrong)
-    for name, count in kinds.items():
-        tally[f"WRONG: {name}"] += count
-        text = next((t for _, v, t in result.wrong if VERDICTS[v] == name), "")
-        where = next(k for k, v, _ in result.wrong if VERDICTS[v] == name)
-        print(
-            f"COUNTEREXAMPLE {name} ({count}): --seed {seed} --case {case}: {made}; sample {where}: {text}", flush=True
-        )
+    for verdict in {verdict for _, verdict, _ in result.wrong}:
+        alike = [(k, text) for k, v, text in result.wrong if v == verdict]
+        tally[f"WRONG: {VERDICTS[verdict]}"] += len(alike)
+        which = f"{VERDICTS[verdict]} ({len(alike)}): --seed {seed} --case {case}: {made}"
+        print(f"COUNTEREXAMPLE {which}; sample {alike[0][0]}: {alike[0][1]}", flush=True)
     return len(result.wrong)
 
 

@@ -11,8 +11,8 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
-from paired import Line, Spread, against, rate, warming
-from place import Bench, Events, stroke, wall, waves
+from measure import WARMING, Line, Spread, against, rate, wall
+from place import Bench, Events, stroke, waves
 
 SLAB = 8  # planes
 SMALL = 200  # kernels that are timed where nothing else goes on
@@ -50,7 +50,7 @@ def first_calls(b: Bench) -> Iterator[Line]:
                 full.append(first(shape, cache))
         for state, bar, taken in (("empty", 2.0, empty), ("full", 0.3, full)):
             what = f"first call of a process: {words} of float32, auto; the cache is {state}"
-            yield Line(what, value=Spread.of(taken), unit="s", bar=bar)
+            yield Line(what, value=Spread.of(*taken), unit="s", bar=bar)
 
 
 def handed_over(b: Bench) -> Iterator[Line]:
@@ -68,16 +68,15 @@ def handed_over(b: Bench) -> Iterator[Line]:
 
     for slab in (None, SLAB):
         times = []
-        for k in range(warming(b.runs) + b.runs):
+        for _ in range(WARMING + b.runs):
             begun = time.perf_counter()
             warping = started(slab)
-            if k >= warming(b.runs):
-                times.append(time.perf_counter() - begun)
+            times.append(time.perf_counter() - begun)
             warping.wait()
-        taken = Spread.of(times)
+        taken = Spread.of(*times[WARMING:])
         words = "whole" if slab is None else f"in slabs of {slab} planes"
         what = f"{b.volume}, linear, handed over {words}: the host's time"
-        yield Line(what, taken, None, taken.map(lambda x: x * 1e3), "ms")
+        yield Line(what, taken, "", taken.map(lambda x: x * 1e3), "ms")
 
     gpu = open_device()
     stream = gpu.stream()
@@ -107,7 +106,7 @@ def handed_over(b: Bench) -> Iterator[Line]:
                 seconds.append(clock(small))
             if warping is not None:
                 warping.wait()
-        micro = Spread.of(seconds).map(lambda x: x * 1e6)
+        micro = Spread.of(*seconds).map(lambda x: x * 1e6)
         note = f"longest {micro.longest:.0f} µs"
         yield Line(f"a small kernel of another stream, {words}", value=micro, unit="µs", note=note)
 

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
-from paired import HEAD, Line, Spread, against, missed, rate, took
+from measure import HEAD, Line, Spread, against, missed, rate, took
 from place import Bench, Place, host, play, stroke, waves
 
 if TYPE_CHECKING:
@@ -90,7 +90,7 @@ def memory(b: Bench, d: supple.Deformation, given: Any) -> Line:
     volume = 4 * b.side**3
     own = b.place.kind == "own"  # whose arrays are in the pool
     most = beside / volume + (0 if own else 2)
-    return Line("the same, memory", value=Spread.of([most]), unit="volumes", bar=2.2)
+    return Line("the same, memory", value=Spread.of(most), unit="volumes", bar=2.2)
 
 
 def volume_against_torch(b: Bench) -> Iterator[Line]:
@@ -235,7 +235,8 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--quick", action="store_true", help="fewer runs, and smaller")
     parser.add_argument("--dry", action="store_true", help="without a GPU, tiny: whether it runs at all")
-    parser.add_argument("--only", nargs="+", metavar="PART", help="of: volume torch cupy clip batch streams host first")
+    known = parts()
+    parser.add_argument("--only", nargs="+", choices=known, default=list(known), help="which parts (all)")
     parser.add_argument("--json", type=Path, metavar="FILE", help="all numbers too, in seconds and ratios")
     asked = parser.parse_args()
     if asked.dry:
@@ -252,17 +253,13 @@ def main() -> int:
     place = Place(asked.dry)
     sizes = {False: (25, 512, (118, 1080, 1920), (64, 512)), True: (15, 256, (30, 540, 960), (16, 256))}[asked.quick]
     bench = Bench(place, *((1, 6, (3, 8, 8), (2, 8)) if asked.dry else sizes))
-    known = parts()
-    unknown = sorted(set(asked.only or ()) - set(known))
-    if unknown:
-        parser.error(f"--only: {', '.join(unknown)}: not one of {', '.join(known)}")
     about, lines, broken = place.about(), [], False
     if asked.dry:
         print("A dry run: its times mean nothing.\n")
     print(", ".join(v if k == "gpu" else f"{k} {v}" for k, v in about.items()) + f"\n\n{HEAD}", flush=True)
-    for name, part in known.items():
+    for name in asked.only:
         try:
-            for line in part(bench) if not asked.only or name in asked.only else ():
+            for line in known[name](bench):
                 lines.append(line)
                 print(line, flush=True)
         except Exception as error:  # the other parts are still worth their time

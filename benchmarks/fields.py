@@ -25,10 +25,9 @@ process of its own.
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -37,7 +36,7 @@ import heads
 import numpy as np
 import numpy.typing as npt
 import SimpleITK as sitk  # noqa: N813
-from measure import HEAD, Row, machine, pair, run
+from measure import HEAD, Line, figure, machine, missed, paired, run, shown, wall
 from scipy import ndimage
 
 import supple
@@ -46,10 +45,7 @@ Array = npt.NDArray[Any]
 
 TOLERANCE = 0.01  # voxels
 TIMES = 100  # ITK's iterations at most; more do not help, and its own default, 10, is far from enough
-FIELD: Any = getattr(supple, "Field", None)
-OURS_IS_THERE = hasattr(FIELD, "read") and hasattr(FIELD, "invert")  # else only ITK's half is measured
 WAYS = {"ITK's": 0.0, "ITK's, a mean will do": 0.001}  # its thresholds of the mean, in voxels
-SLOW = {"IterativeInverseDisplacementField": 256, "InverseDisplacementField": 64}  # peers, and the side that they bear
 ROOM = 100.0  # megabytes above the field and the result that inverting may take
 ALONE = {  # what reads and inverts, in a process of its own
     "ours": "import sys, supple; made = supple.Field.read(sys.argv[1]).invert()",
@@ -58,52 +54,8 @@ ALONE = {  # what reads and inverts, in a process of its own
 }
 
 
-# Ours: to read a field, and to invert it.
-
-
-def ours_read(path: Path) -> Any:
-    return FIELD.read(path)
-
-
-def ours_inverted(field: Any) -> Any:
-    """Return the result, with its ``field``, ``error`` in millimetres and ``status``."""
-    return field.invert(tolerance=TOLERANCE)
-
-
-# ITK's.
-
-
 def itk_read(path: Path) -> Any:
     return sitk.ReadImage(str(path), sitk.sitkVectorFloat32)
-
-
-def itk_inverted(field: Any, times: int = TIMES, mean: float = 0.0, *, border: bool = False) -> Any:
-    """Return ITK's inverse; its thresholds are in voxels. ``border`` sets the displacement at the border to zero."""
-    return sitk.InvertDisplacementField(
-        field,
-        maximumNumberOfIterations=times,
-        maxErrorToleranceThreshold=TOLERANCE,
-        meanErrorToleranceThreshold=mean,
-        enforceBoundaryCondition=border,
-    )
-
-
-def itk_fixed_point(field: Any) -> Any:
-    """Return the inverse of ITK's slow filter of iterations; its tolerance is in millimetres."""
-    return sitk.IterativeInverseDisplacementField(
-        field, numberOfIterations=100, stopValue=TOLERANCE * field.GetSpacing()[0]
-    )
-
-
-def itk_splines(field: Any) -> Any:
-    """Return the inverse of ITK's slow filter of landmarks: a thin plate through each eighth sample."""
-    return sitk.InverseDisplacementField(
-        field, size=field.GetSize(), outputOrigin=field.GetOrigin(), outputSpacing=field.GetSpacing(),
-        subsamplingFactor=8,
-    )  # fmt: skip
-
-
-# The truth.
 
 
 @dataclass(frozen=True)
@@ -142,51 +94,6 @@ def truth(values: Array, inverse: Array, spacing: float) -> Truth:
     return Truth(error, outside)
 
 
-def near_folds(values: Array, inverse: Array, spacing: float) -> npt.NDArray[np.float32]:
-    """Return how far from the next fold each voxel comes, in voxels; infinity without folds."""
-    folded = heads.corners(values, spacing)[1] <= 0
-    if not folded.any():
-        return np.full(folded.shape, np.inf, np.float32)
-    away = ndimage.distance_transform_edt(~folded).astype(np.float32)
-    found = np.empty_like(away)
-    y, x = np.indices(folded.shape[1:])
-    for z in range(len(found)):
-        back = np.rint(inverse[z] / spacing).astype(int)
-        at = [z + back[..., 2], y + back[..., 1], x + back[..., 0]]
-        found[z] = away[tuple(np.clip(a, 0, n - 1) for a, n in zip(at, folded.shape, strict=True))]
-    return found
-
-
-# What is measured.
-
-
-def resampled(field: Any, side: int) -> Any:
-    """Return a field with fewer samples along each side, of the same extent."""
-    n = field.GetSize()[0]
-    grid = sitk.Image([side] * 3, sitk.sitkFloat32)
-    step = field.GetSpacing()[0] * n / side
-    grid.SetSpacing([step] * 3)
-    grid.SetOrigin([o + (step - s) / 2 for o, s in zip(field.GetOrigin(), field.GetSpacing(), strict=True)])
-    return sitk.Resample(field, grid, sitk.Transform(), sitk.sitkLinear, 0.0, sitk.sitkVectorFloat32)
-
-
-def judged(what: str, whose: str, found: Truth, values: Array, inverse: Array, spacing: float) -> Iterator[Row]:
-    """Rows of the largest error and of the voxels that are over the tolerance."""
-    inside = int((~found.outside).sum())
-    over, far = found.counted(), found.counted(0.1)
-    yield Row(f"{what}: largest error of {whose}", value=f"{found.largest:.4f} voxels")
-    share = f"{over} of {inside} voxels ({100 * over / inside:.4f} %), {far} over 0.1"
-    yield Row(f"{what}: over {TOLERANCE:g} voxel, {whose}", value=share)
-    if over:
-        distance = near_folds(values, inverse, spacing)[(found.error > TOLERANCE) & ~found.outside]
-        if np.isfinite(distance).all():
-            ends = np.percentile(distance, [50, 90])
-            yield Row(
-                f"{what}: how far from a fold these come from, {whose}",
-                value=f"median {ends[0]:.1f}, nine tenths within {ends[1]:.1f} voxels",
-            )
-
-
 def twice(values: Array, grid: supple.Grid, interpolation: Any) -> float:
     """Return how far the inverse of the inverse is from a field at most, in voxels, where all that it uses is ok."""
     first = supple.Field(values, grid, interpolation).invert()
@@ -199,8 +106,8 @@ def twice(values: Array, grid: supple.Grid, interpolation: Any) -> float:
     return float(off[(second.status == 0) & used[at]].max())
 
 
-def held_out(side: int = 96, count: int = 8) -> Iterator[Row]:
-    """Rows of the inverse of the inverse of random smooth fields, whose steepest slopes are 0.2 to 0.45."""
+def held_out(side: int = 96, count: int = 8) -> Iterator[Line]:
+    """The inverse of the inverse of random smooth fields, whose steepest slopes are 0.2 to 0.45."""
     rng, grid = np.random.default_rng(21), supple.Grid((side,) * 3)
     fields = []
     for _ in range(count):
@@ -210,99 +117,49 @@ def held_out(side: int = 96, count: int = 8) -> Iterator[Row]:
         made *= slope / max(np.linalg.norm(np.diff(made, axis=k), axis=-1).max() for k in range(3))
         fields.append(made.astype(np.float32))
     for kind in ("linear", "cubic"):
-        worst = max(twice(made, grid, kind) for made in fields)
         what = f"{count} random smooth fields of {side}³, {kind}: inverse of the inverse, off by at most"
-        yield Row(what, value=f"{worst:.4f} voxels", bar="≤ 0.02", holds=worst <= 0.02)
+        yield figure(what, max(twice(made, grid, kind) for made in fields), "voxels", 0.02)
 
 
-def memory(what: str, path: Path) -> Iterator[Row]:
-    """Rows of the peak of processes that read the field and invert it."""
-    values = np.prod(itk_read(path).GetSize())
-    field = 12 * values / 1e6
-    bar = field + (12 + 4 + 1) * values / 1e6 + ROOM
-    for whose in (*(["ours"] if OURS_IS_THERE else []), "ITK's"):
-        peak = run([sys.executable, "-c", ALONE[whose], str(path)])[1]
-        limit, holds = (f"≤ {bar:.0f}", peak <= bar) if whose == "ours" else ("", None)
-        yield Row(f"{what}: peak memory, {whose}", value=f"{peak:.0f} MB", bar=limit, holds=holds)
-
-
-def rows(kind: str, path: Path, runs: int, keep: Path | None) -> Iterator[Row]:
+def lines(kind: str, path: Path, runs: int) -> Iterator[Line]:
     """All that is said of a field."""
-    image = itk_read(path)
+    image, field = itk_read(path), supple.Field.read(path)
     spacing, side = image.GetSpacing()[0], image.GetSize()[0]
     values = sitk.GetArrayViewFromImage(image)
-    what = f"{kind} {side}³"
-    told = path.with_suffix(".json")
-    if told.exists():
-        known = json.loads(told.read_text())
-        yield Row(
-            what, value=", ".join(f"{k} {v:.5g}" if isinstance(v, float) else f"{k} {v}" for k, v in known.items())
-        )
-
-    kept: dict[str, Any] = {}
-    field = ours_read(path) if OURS_IS_THERE else None
+    what, kept = f"{kind} {side}³", {}
 
     def ours() -> None:
-        if field is not None:
-            kept["ours"] = ours_inverted(field)
+        kept["ours"] = field.invert(tolerance=TOLERANCE)
 
     for way, mean in WAYS.items():
 
         def peer(way: str = way, mean: float = mean) -> None:
-            kept[way] = itk_inverted(image, mean=mean)
+            kept[way] = sitk.InvertDisplacementField(image, TIMES, TOLERANCE, mean, False)
 
-        a, b, ratio = pair(ours, peer, runs, warm=False)
+        bar = 0.02 if kind != "smooth" and mean == 0 else None
         title = f"{what}: ours / {way}, asked for {TOLERANCE:g} voxel"
-        if field is None:
-            yield Row(title, "not there", f"{b:.2f} s", runs=runs)
-        else:
-            bar = 0.02 if kind != "smooth" and mean == 0 else None
-            limit, holds = ("≤ 0.02", ratio <= bar) if bar else ("", None)
-            yield Row(title, f"{a:.2f} s", f"{b:.2f} s", f"{ratio:.4f}", bar=limit, holds=holds, runs=runs)
-    inverses = {way: sitk.GetArrayViewFromImage(kept[way]) for way in WAYS}
-    if field is not None:
-        result = kept["ours"]
-        inverses["ours"] = result.field.values
-    for whose, inverse in inverses.items():
+        yield Line(title, *paired(ours, peer, wall, runs, warm=0), "×", bar)
+    result = kept["ours"]
+    for whose, known in kept.items():
+        inverse = known.field.values if whose == "ours" else sitk.GetArrayViewFromImage(known)
         found = truth(values, inverse, spacing)
-        yield from judged(what, whose, found, values, inverse, spacing)
-        if keep is not None:
-            keep.mkdir(parents=True, exist_ok=True)
-            name = "-".join(whose.lower().replace("'s", "").replace(",", "").split())
-            np.savez(keep / f"{kind}_{side}_{name}.npz", inverse=inverse, error=found.error, outside=found.outside)
-        if field is not None:
-            clean = found.counted(where=result.status == 0)
-            bar, holds = ("≤ 0", clean == 0) if whose == "ours" else ("", None)
-            row = f"{what}: over it among the voxels that ours says are well, {whose}"
-            yield Row(row, value=f"{clean}", bar=bar, holds=holds)
+        yield figure(f"{what}: largest error of {whose}", found.largest, "voxels")
+        share = f"of {(~found.outside).sum()} voxels, {found.counted(0.1)} over 0.1"
+        yield figure(f"{what}: over {TOLERANCE:g} voxel, {whose}", found.counted(), share)
+        row = f"{what}: over it among the voxels that ours says are well, {whose}"
+        yield figure(row, found.counted(where=result.status == 0), "voxels", 0 if whose == "ours" else None)
         if whose == "ours":
-            said = np.bincount(result.status.ravel(), minlength=4)
-            yield Row(f"{what}: well, folded, outside, unconverged", value=", ".join(map(str, said)))
+            yield Line(f"{what}: {', '.join(f'{name} {count}' for name, count in result.counts.items())}")
             apart = np.abs(result.error / spacing - found.error)[~found.outside & (result.status == 0)].max(initial=0.0)
-            yield Row(f"{what}: the error that ours tells, off by at most", value=f"{apart:.4f} voxels")
-            if kind == "smooth":
-                for way in ("linear", "cubic"):
-                    off = twice(field.values, field.grid, way)
-                    yield Row(f"{what}: inverse of the inverse, {way}, off by at most", value=f"{off:.4f} voxels")
-    yield from memory(what, path)
-
-
-def slow_rows(kind: str, path: Path) -> Iterator[Row]:
-    """ITK's other filters, on fewer samples."""
-    makers: dict[str, Callable[[Any], Any]] = {
-        "IterativeInverseDisplacementField": itk_fixed_point,
-        "InverseDisplacementField": itk_splines,
-    }
-    for name, side in SLOW.items():
-        image = itk_read(path)
-        side = min(side, image.GetSize()[0])
-        small = resampled(image, side)
-        kept: list[Any] = []
-        _, seconds, _ = pair(lambda: None, lambda m=makers[name], s=small, k=kept: k.append(m(s)), 1, warm=False)
-        values, inverse = sitk.GetArrayViewFromImage(small), sitk.GetArrayViewFromImage(kept[0])
-        found = truth(values, inverse, small.GetSpacing()[0])
-        over = f"largest error {found.largest:.3f}, {found.counted()} voxels over {TOLERANCE:g}"
-        yield Row(f"{kind} {side}³: ITK's {name}", "", f"{seconds:.2f} s", over)
+            yield figure(f"{what}: the error that ours tells, off by at most", float(apart), "voxels")
+            for way in ("linear", "cubic") if kind == "smooth" else ():
+                off = twice(field.values, field.grid, way)
+                yield figure(f"{what}: inverse of the inverse, {way}, off by at most", off, "voxels")
+    # What a process that reads the field and inverts it may take: both, errors and status, and some room.
+    bar = 29 * np.prod(image.GetSize()) / 1e6 + ROOM
+    for whose, text in ALONE.items():
+        peak = run([sys.executable, "-c", text, str(path)])[1]
+        yield figure(f"{what}: peak memory, {whose}", peak, "MB", round(bar) if whose == "ours" else None)
 
 
 def cache() -> Path:
@@ -317,8 +174,6 @@ def main() -> int:
     parser.add_argument("--side", type=int, default=256, help="samples of the field along each axis (256)")
     parser.add_argument("--kinds", nargs="+", choices=heads.KINDS, default=list(heads.KINDS), help="which fields (all)")
     parser.add_argument("--runs", type=int, default=3, help="pairs of runs (3)")
-    parser.add_argument("--slow", action="store_true", help="ITK's slower filters too, on fewer samples")
-    parser.add_argument("--keep", type=Path, help="a folder for the inverses and their errors")
     asked = parser.parse_args()
     for path in (asked.fixed, asked.moving):
         if path is not None and not path.exists():
@@ -326,18 +181,10 @@ def main() -> int:
     folder = asked.data / heads.named(asked.fixed, asked.moving)
     fields = heads.made(folder, asked.fixed, asked.moving, asked.side, asked.kinds)
     print(f"{machine()}, SimpleITK {sitk.Version.VersionString()}\n\n{HEAD}", flush=True)
-    missed = False
-    for row in held_out() if OURS_IS_THERE else ():
-        print(row, flush=True)
-        missed |= row.holds is False
+    made = shown(held_out())
     for kind, path in fields.items():
-        for row in rows(kind, path, asked.runs, asked.keep):
-            print(row, flush=True)
-            missed |= row.holds is False
-        if asked.slow:
-            for row in slow_rows(kind, path):
-                print(row, flush=True)
-    return 1 if missed else 0
+        made += shown(lines(kind, path, asked.runs))
+    return int(missed(made))
 
 
 if __name__ == "__main__":

@@ -7,15 +7,14 @@ from __future__ import annotations
 
 import argparse
 import statistics
-import time
 import warnings
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from measure import milliseconds
-from paired import HEAD, Line, Spread
+from measure import HEAD, Line, Spread, alone, seconds, shown, took, wall
+from scipy import ndimage
 
 import supple
 from supple.files.volumes import open_volume
@@ -32,87 +31,58 @@ from supple.render.scene import MODES, Scene
 DATA = Path(supple.__file__).parent / "examples" / "data"
 
 
-def timed(work: Callable[[], object], runs: int) -> float:
-    """The median time of some work, in seconds; the first time compiles, and is not counted."""
-    times = []
-    for _ in range(runs + 1):
-        start = time.perf_counter()
-        work()
-        times.append(time.perf_counter() - start)
-    return statistics.median(times[1:])
-
-
-def row(what: str, work: Callable[[], object], cpu: Callable[[], object] | None, runs: int) -> str:
-    other = milliseconds(timed(cpu, runs)) if cpu is not None else ""
-    return f"| {what} | {milliseconds(timed(work, runs))} | {other} | {runs} |"
-
-
-def frame(scene: Scene, camera: Camera, size: tuple[int, int], runs: int) -> float:
-    """The median time of a picture, in seconds; one before it is not counted."""
-    return timed(lambda: scene.render(camera, size), runs)
-
-
 def ways(name: str, head: Volume, look: dict[str, Any], camera: Camera, size: tuple[int, int]) -> str:
     """The modes beside one another, as in the paper's table 6.1: frames, and what a buffer takes."""
-    scenes, made = {}, {}
+    scenes, made, still = {}, {}, {}
     for mode in MODES:
-        for _ in range(2):  # the first time compiles
-            start = time.perf_counter()
+
+        def make(mode: str = mode) -> None:
             scenes[mode] = Scene(head.samples, head.geometry, mode=mode, step=1.0, device="gpu", **look)
-            made[mode] = time.perf_counter() - start
-    still = {mode: frame(scenes[mode], camera, size, 3) for mode in MODES}
-    scene, frames, done = scenes["hybrid"], [], 0.0
-    while done < 1:
-        start = time.perf_counter()
-        done = scene.fill(seconds=max(0.004, 0.05 * still["hybrid"]))
+
+        make()  # compiles
+        made[mode] = wall(make)
+        still[mode] = alone(lambda mode=mode: scenes[mode].render(camera, size), wall, 3).median
+    scene, frames, parts = scenes["hybrid"], [], [0.0]
+
+    def filling() -> None:
+        parts.append(scene.fill(seconds=max(0.004, 0.05 * still["hybrid"])))
         scene.render(camera, size)
-        frames.append(time.perf_counter() - start)
-    longest = max(frames) / still["hybrid"]
-    cells = [
-        milliseconds(still["exact"]),
-        milliseconds(still["buffered"]),
-        milliseconds(made["buffered"]),
-        milliseconds(still["hybrid"]),
-        milliseconds(made["hybrid"]),
-        f"{milliseconds(statistics.median(frames))} (longest {longest:.2f}× the one before)",
-        f"{milliseconds(sum(frames))}, {len(frames)} frames",
-        milliseconds(frame(scene, camera, size, 3)),
-    ]
+
+    while parts[-1] < 1:
+        frames.append(wall(filling))
+    middle, longest = seconds(statistics.median(frames)), max(frames) / still["hybrid"]
+    cells = [seconds(still["exact"]), *(seconds(x[mode]) for mode in ("buffered", "hybrid") for x in (still, made))]
+    cells += [f"{middle} (longest {longest:.2f}× the one before)", f"{seconds(sum(frames))}, {len(frames)} frames"]
+    cells.append(seconds(alone(lambda: scene.render(camera, size), wall, 3).median))
     return f"| {name} | " + " | ".join(cells) + " |"
 
 
-def filled(n: int, runs: int) -> str:
+def filled(n: int, runs: int) -> Line:
     """A whole buffer, from a volume that is on the GPU already: the lattice, and all bricks."""
     gpu = open_gpu()
-    samples = np.random.default_rng(0).random((n, n, n), np.float32)
-    space = (
-        supple.Deformation(samples.shape, border=None)
-        .grab((n / 2, n / 2, n / 2), by=(n / 16, 0, 0), radius=n / 5)
-        .space
-    )
-    held = hold(gpu, samples)
+    d = supple.Deformation((n, n, n), border=None)
+    space = d.grab((n / 2, n / 2, n / 2), by=(n / 16, 0, 0), radius=n / 5).space
+    held = hold(gpu, np.random.default_rng(0).random((n, n, n), np.float32))
     assert beside(held)
 
     def work() -> None:
         lattice = lattice_of(gpu, space, 0.05)
         Filling(held, lattice, polished=lattice.error > 0.05, tolerance=0.05).advance(1e9)
 
-    return row(f"buffer of a {n}³ float32 volume: lattice and bricks", work, None, runs)
+    return took(f"buffer of a {n}³ float32 volume: lattice and bricks", work, wall, runs)
 
 
 def rate(what: str, draw: Callable[[int], object], count: int, runs: int, bar: float | None = None) -> Line:
     """The row of a frame rate: ``draw`` submits frame k; the GPU is waited for after ``count`` of them."""
     gpu = open_gpu()
 
-    def frames() -> float:
-        start = time.perf_counter()
+    def frames() -> None:
         for n in range(count):
             draw(n)
         wait(gpu)
-        return count / (time.perf_counter() - start)
 
     frames()  # compiles, and is not counted
-    found = Spread.of([frames() for _ in range(runs)])
+    found = Spread.of(*(count / wall(frames) for _ in range(runs)))
     return Line(what, value=found, unit="frames/s", bar=None if bar is None else -bar, note=f"of {count} frames")
 
 
@@ -156,22 +126,11 @@ def played(size: tuple[int, int], slots: int, count: int, runs: int) -> Line:
     return rate(f"a clip bent in time, {slots} frames of {width}×{height} in memory", frame, count, runs, 500)
 
 
-def enlarged(samples: np.ndarray, side: int) -> np.ndarray:
-    """A volume with as many voxels along each side, by linear interpolation."""
-    made = samples.astype(np.float32)
-    for axis, n in enumerate(samples.shape):
-        at = np.linspace(0, n - 1, side)
-        first = np.minimum(at.astype(int), n - 2)
-        part = np.float32(at - first).reshape([-1 if k == axis else 1 for k in range(3)])
-        made = np.take(made, first, axis) * (1 - part) + np.take(made, first + 1, axis) * part
-    return made.astype(samples.dtype)
-
-
 def large_head(side: int, size: tuple[int, int], count: int, runs: int) -> list[Line]:
     """The head with so many voxels along each side, and a stroke, which may change with each frame."""
     head = open_volume(DATA / "head.nii.gz").samples
     scale = side / np.array(head.shape)
-    samples = enlarged(head, side)
+    samples = ndimage.zoom(head.astype(np.float32), scale, order=1).astype(head.dtype)
     look: dict[str, Any] = {"transfer": "mr-head", "step": 1.0, "device": "gpu"}
     camera = Camera(azimuth=38, elevation=12, distance=2.2 * side)
     place, to = (np.array(at) * scale[::-1] for at in ((40, 86, 65), (44, 63, 53)))
@@ -182,7 +141,7 @@ def large_head(side: int, size: tuple[int, int], count: int, runs: int) -> list[
         )
 
     drags = [bent(0.5 + 0.5 * k / count) for k in range(count)]
-    rows = []
+    lines = []
     for mode, bar in (("exact", 10.0), ("buffered", None), ("hybrid", 60.0)):
         scene = Scene(samples, deformation=drags[-1], mode=mode, **look)
         texture = canvas_texture(scene.gpu, size)
@@ -194,11 +153,11 @@ def large_head(side: int, size: tuple[int, int], count: int, runs: int) -> list[
             scene.deformed(drags[n]).draw(texture, camera)
 
         what = f"the head, {side}³, {mode}, {size[0]}×{size[1]}"
-        rows.append(rate(what, still, count, runs, bar if mode == "exact" else None))
+        lines.append(rate(what, still, count, runs, bar if mode == "exact" else None))
         if mode != "buffered":
             words = f"{what}, a stroke that changes with each frame"
-            rows.append(rate(words, dragged, count, runs, bar if mode == "hybrid" else None))
-    return rows
+            lines.append(rate(words, dragged, count, runs, bar if mode == "hybrid" else None))
+    return lines
 
 
 def main() -> None:
@@ -212,39 +171,28 @@ def main() -> None:
     print(HEAD, flush=True)
     count = 3 if gpu.software else 200
     for size, bar in (((1920, 1080), 1000.0), ((3840, 2160), 300.0)):
-        for line in window((size[0] // scale, size[1] // scale), bar, count, runs):
-            print(line, flush=True)
-    print(played((1920 // scale, 1080 // scale), 40, count, runs), flush=True)
+        shown(window((size[0] // scale, size[1] // scale), bar, count, runs))
+    shown([played((1920 // scale, 1080 // scale), 40, count, runs)])
     side = 128 if gpu.software or quick else 512
-    for line in large_head(side, (500 // scale, 500 // scale), max(2, count // 20), min(runs, 3)):
-        print(line, flush=True)
-    print("\n| what | whole call | by the CPU | runs |\n|---|---|---|---|")
+    shown(large_head(side, (500 // scale, 500 // scale), max(2, count // 20), min(runs, 3)))
     head = open_volume(DATA / "head.nii.gz")
     size = (1000 // scale, 1000 // scale)
     camera = Camera(azimuth=38, elevation=12, distance=480)
     bent = supple.Deformation(head.samples.shape, spacing=head.geometry.spacing, border=30)
     bent = bent.grab((40, 86, 65), to=(44, 63, 53), radius=36)
+    look: dict[str, Any] = {"deformation": bent, "transfer": "mr-head"}
     for mode in ("exact", "buffered"):
-        scenes = [
-            Scene(head.samples, head.geometry, deformation=bent, transfer="mr-head", mode=mode, step=1.0, device=device)
-            for device in ("gpu", "cpu")
-        ]
-        print(
-            row(
-                f"view of the head, {size[1]}×{size[0]}, {mode}",
-                lambda scenes=scenes: scenes[0].render(camera, size),  # type: ignore[misc]
-                lambda scenes=scenes: scenes[1].render(camera, size),  # type: ignore[misc]
-                runs,
-            )
-        )
-    print(filled(n=512 // scale, runs=1 if gpu.software else runs))
+        for device in ("gpu", "cpu"):
+            scene = Scene(head.samples, head.geometry, mode=mode, step=1.0, device=device, **look)
+            what = f"view of the head, {size[1]}×{size[0]}, {mode}, by the {device.upper()}"
+            shown([took(what, lambda scene=scene: scene.render(camera, size), wall, runs)])
+    shown([filled(512 // scale, 1 if gpu.software else runs)])
     print(f"\nThe modes, {size[1] // 2}×{size[0] // 2}:\n")
     print("| seen | exact | buffered | made in | hybrid | made in | while it fills | filled after | and then |")
     print("|---|" + "---|" * 8)
     half = (size[0] // 2, size[1] // 2)
-    brain = {"deformation": bent, "transfer": "mr-head", "density": (110.0, 254.0)}
-    print(ways("the head", head, {"deformation": bent, "transfer": "mr-head"}, camera, half))
-    print(ways("what is bright in it", head, brain, camera, half))
+    print(ways("the head", head, look, camera, half))
+    print(ways("what is bright in it", head, look | {"density": (110.0, 254.0)}, camera, half))
 
 
 if __name__ == "__main__":

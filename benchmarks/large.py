@@ -22,7 +22,6 @@ import argparse
 import os
 import sys
 import tempfile
-import time
 import warnings
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
@@ -37,7 +36,7 @@ import dask.array as da
 import numpy as np
 import numpy.typing as npt
 import zarr
-from measure import HEAD, Row, machine, milliseconds, pair, run, shown
+from measure import HEAD, Line, Spread, against, figure, machine, missed, run, shown, wall
 from zarr.storage import LocalStore, WrapperStore
 
 import supple
@@ -101,8 +100,8 @@ def summed(made: da.Array, **options: Any) -> int:
     return int(made.sum().compute(**options))
 
 
-def reads(sizes: Sizes, here: Path) -> Iterator[Row]:
-    """Rows of the bytes read from Zarr stores, without compression."""
+def reads(sizes: Sizes, here: Path) -> Iterator[Line]:
+    """Lines of the bytes read from Zarr stores, without compression."""
     side = sizes.reads
     deformation = stroke(side)
     quarter, whole = side // 8, side // 2
@@ -127,31 +126,26 @@ def reads(sizes: Sizes, here: Path) -> Iterator[Row]:
         summed(made, scheduler="threads", num_workers=THREADS)
         total, of_all = Counting.read, 2 * side**3
         kind = f"chunks of {chunk}³" + (f" in shards of {shard}³" if shard else "")
-        yield Row(
-            f"{side}³ uint16, blocks of {block}³, {kind}: bytes read / those of the chunks needed",
-            f"{total / 1e6:.0f} MB", f"{met / 1e6:.0f} MB", f"{total / met:.3f}", "≤ 1.05", total <= 1.05 * met,
-        )  # fmt: skip
-        yield Row(
-            "the same: / those of the parts that blocks read", "", f"{parts / 1e6:.0f} MB", f"{total / parts:.2f}"
-        )
-        yield Row("the same: / those of the source", "", f"{of_all / 1e6:.0f} MB", f"{total / of_all:.2f}")
+        what = f"{side}³ uint16, blocks of {block}³, {kind}: bytes read / those of the chunks needed"
+        yield figure(what, total / met, "×", 1.05, ours=f"{total / 1e6:.0f} MB", peer=f"{met / 1e6:.0f} MB")
+        for name, size in (("of the parts that blocks read", parts), ("of the source", of_all)):
+            yield figure(f"the same: / those {name}", total / size, "×", peer=f"{size / 1e6:.0f} MB")
         if block == chunk:
             Counting.read = 0
             summed(warp(da.from_zarr(source), deformation), scheduler="threads", num_workers=THREADS)
-            value = f"{Counting.read / of_all:.2f}"
-            yield Row("as a Dask array, whose chunks are shared: / those of the source", value=value)
+            what = "as a Dask array, whose chunks are shared: / those of the source"
+            yield figure(what, Counting.read / of_all, "×")
 
 
-def memory(sizes: Sizes, here: Path) -> Iterator[Row]:
-    """Rows of the peak memory of processes that warp volumes of two sizes."""
+def memory(sizes: Sizes, here: Path) -> Iterator[Line]:
+    """Lines of the peak memory of processes that warp volumes of two sizes."""
     peaks = []
     for side in sizes.memory:
         seconds, peak = run([sys.executable, __file__, "--child", str(side), "--block", str(sizes.block)])
         peaks.append(peak)
         what = f"peak memory of a process, {side}³ uint16 ({2 * side**3 / 1e9:.3g} GB), blocks of {sizes.block}³"
-        yield Row(what, f"{peak:.0f} MB", value=f"{seconds:.0f} s")
-    yield Row("the second / the first", value=f"{peaks[1] / peaks[0]:.3f}", bar=f"≤ {ROOM:g}",
-              holds=peaks[1] <= ROOM * peaks[0])  # fmt: skip
+        yield figure(what, peak, "MB", note=f"{seconds:.0f} s")
+    yield figure("the second / the first", peaks[1] / peaks[0], "×", ROOM)
 
 
 def child(side: int, block: int) -> None:
@@ -159,7 +153,7 @@ def child(side: int, block: int) -> None:
     summed(warp(Made(side, block), stroke(side)), scheduler="threads", num_workers=THREADS)
 
 
-def workers(sizes: Sizes, here: Path) -> Iterator[Row]:
+def workers(sizes: Sizes, here: Path) -> Iterator[Line]:
     """A row of the time that two workers take, against one."""
     from distributed import Client, LocalCluster
 
@@ -175,14 +169,12 @@ def workers(sizes: Sizes, here: Path) -> Iterator[Row]:
             with client.as_current(), dask.config.set(scheduler=client.get):
                 summed(warp(source, deformation))
 
-        runs = max(1, sizes.runs // 2)
-        ours, peer, ratio = pair(lambda: by(two), lambda: by(one), runs, warm=False)
-    what = f"{side}³ uint16 ({2 * side**3 / 1e9:.2g} GB), blocks of {sizes.block}³: two workers / one"
-    yield Row(what, milliseconds(ours), milliseconds(peer), f"{ratio:.2f}", "≤ 0.6", ratio <= 0.6, runs)
+        what = f"{side}³ uint16 ({2 * side**3 / 1e9:.2g} GB), blocks of {sizes.block}³: two workers / one"
+        yield against(what, lambda: by(two), lambda: by(one), wall, max(1, sizes.runs // 2), 0.6, warm=0)
 
 
-def peer(sizes: Sizes, here: Path) -> Iterator[Row]:
-    """Rows that compare an affine map with dask-image's."""
+def peer(sizes: Sizes, here: Path) -> Iterator[Line]:
+    """Lines that compare an affine map with dask-image's."""
     from dask_image import ndinterp
 
     side, block = sizes.peer, sizes.block // 2
@@ -205,48 +197,39 @@ def peer(sizes: Sizes, here: Path) -> Iterator[Row]:
         )
         kept["theirs"] = made.compute(**options)
 
-    a, b, ratio = pair(ours, theirs, sizes.runs)
     what = f"{side}³ float32, blocks of {block}³, an affine map, linear: ours / `dask_image.ndinterp.affine_transform`"
-    yield Row(what, milliseconds(a), milliseconds(b), f"{ratio:.2f}", runs=sizes.runs)
+    yield against(what, ours, theirs, wall, sizes.runs)
     inside = (slice(side // 8, -side // 8),) * 3
     off = float(np.abs(kept["ours"] - kept["theirs"])[inside].max())
-    yield Row("the same: the two differ by at most, of values from 0 to 1", value=f"{off:.1e}")
+    yield figure("the same: the two differ by at most", off, "of values from 0 to 1")
 
 
-def model(sizes: Sizes, here: Path) -> Iterator[Row]:
-    """Rows of the parameters of the model, on one thread."""
+def model(sizes: Sizes, here: Path) -> Iterator[Line]:
+    """Lines of the parameters of the model, on one thread."""
     side, block = sizes.reads, sizes.block
     deformation = stroke(side)
     job = Warp(deformation, Sampling())
-    boxes = list(boxes_of([(block,) * (side // block)] * 3))[:4]
-    start = time.perf_counter()
-    planned, _ = job.plan(list(boxes_of([(block,) * (side // block)] * 3)))
-    plans = (time.perf_counter() - start) / len(planned)
+    whole = list(boxes_of([(block,) * (side // block)] * 3))
+    planned: list[Any] = []
+    plans = wall(lambda: planned.extend(job.plan(whole)[0])) / len(whole)
     source, taken = Made(side, block), []
-    for one in planned[: len(boxes)]:
+    for one in planned[:4]:
         part = source[tuple(slice(*each) for each in one.part)][None]
-        start = time.perf_counter()
-        job.block(part, one)
-        taken.append((time.perf_counter() - start) / block**3)
-    yield Row(f"planning a block of {block}³", value=milliseconds(plans), runs=len(planned))
-    yield Row("the same, for each voxel", value=f"{1e9 * plans / block**3:.2f} ns")
+        taken.append(1e9 * wall(lambda part=part, one=one: job.block(part, one)) / block**3)
+    yield figure(f"planning a block of {block}³", 1e3 * plans, "ms")
+    yield figure("the same, for each voxel", 1e9 * plans / block**3, "ns")
     what = "sampling, uint16, default filter, its map anew, for each voxel"
-    yield Row(what, value=f"{1e9 * float(np.median(taken)):.1f} ns", runs=len(taken))
+    yield Line(what, value=Spread.of(*taken), unit="ns")
     # Blocks so small that little is left but the tasks.
-    many = 24
+    many, made = 24, []
     tiny = supple.Deformation((8 * many,) * 3, border=None).grab((4, 4, 4), by=(0.5, 0, 0), radius=2, reach=2)
-    start = time.perf_counter()
-    made = warp(Made(8 * many, 8), tiny)
-    middle = time.perf_counter()
-    made.sum().compute(scheduler="threads", num_workers=1)
-    end = time.perf_counter()
-    tasks = many**3
-    yield Row(f"a graph of {tasks} blocks of 8³: planned and made, for each block",
-              value=f"{1e6 * (middle - start) / tasks:.0f} µs")  # fmt: skip
-    yield Row("the same, carried out on a thread", value=f"{1e6 * (end - middle) / tasks:.0f} µs")
+    planning = wall(lambda: made.append(warp(Made(8 * many, 8), tiny)))
+    carried = wall(lambda: summed(made[0], scheduler="threads", num_workers=1))
+    for what, spent in ((f"a graph of {many**3} blocks of 8³: planned and made", planning), ("carried out", carried)):
+        yield figure(f"{what}, for each block", 1e6 * spent / many**3, "µs")
 
 
-PARTS: dict[str, Callable[[Sizes, Path], Iterable[Row]]] = {
+PARTS: dict[str, Callable[[Sizes, Path], Iterable[Line]]] = {
     "reads": reads,
     "memory": memory,
     "workers": workers,
@@ -268,12 +251,12 @@ def main() -> int:
         child(asked.child, asked.block)
         return 0
     sizes = QUICK if asked.quick else FULL
-    missed = False
+    made = []
     print(f"{machine()}, Dask {dask.__version__}, Zarr {zarr.__version__}\n\n{HEAD}", flush=True)
     for name in asked.only:
         with tempfile.TemporaryDirectory(dir=asked.data) as folder:
-            missed |= any(row.holds is False for row in shown(PARTS[name](sizes, Path(folder))))
-    return 1 if missed and not asked.quick else 0
+            made += shown(PARTS[name](sizes, Path(folder)))
+    return int(missed(made) and not asked.quick)
 
 
 if __name__ == "__main__":

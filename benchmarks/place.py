@@ -7,7 +7,6 @@ import importlib
 import shutil
 import subprocess
 import sys
-import time
 from dataclasses import dataclass, field
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -15,19 +14,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
-from paired import Clock, Work
+from measure import Clock, Work, wall
 
 if TYPE_CHECKING:
     import supple
 
 Array = npt.NDArray[Any]
-
-
-def wall(work: Work) -> float:
-    """Seconds on the host's clock."""
-    start = time.perf_counter()
-    work()
-    return time.perf_counter() - start
 
 
 @dataclass(frozen=True)

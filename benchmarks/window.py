@@ -23,9 +23,10 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
-import av
 import numpy as np
-from measure import milliseconds
+from measure import seconds
+from rendercanvas.offscreen import RenderCanvas
+from video import enlarged
 from wgpu.backends.wgpu_native import _api, _ffi, _helpers
 
 import supple
@@ -36,6 +37,7 @@ from supple.space.freezing import Freeze
 from supple.strokes import Recipe, Stroke
 from supple.viewer.panels.view import BAR, LINE, WIDE
 from supple.viewer.tools.planes import RENDERED
+from supple.viewer.window.launch import opened
 
 DATA = Path(supple.__file__).parent / "examples" / "data"
 _EMPTY = """
@@ -67,13 +69,8 @@ view.close()
 _LOOP = SimpleNamespace(call_later=lambda seconds, work: None)  # frames are drawn from here: nothing comes later
 
 
-def opened(source: Any, *, scale: float = 1.0, frozen: bool = False) -> tuple[Any, Any]:
-    """A view of 20 strokes, and, after half of them, of a freeze beside the drag."""
-    from rendercanvas.offscreen import RenderCanvas
-
-    from supple.viewer.window.launch import opened as opened_on
-
-    canvas = RenderCanvas(size=(1280, 800))
+def twenty(source: Any, scale: float = 1.0, frozen: bool = False) -> list[Stroke]:
+    """Return 20 strokes and, among them, a freeze beside the drag."""
     strokes = [
         Stroke.grab((scale * (150 + 80 * k), scale * (300 + 20 * k)), by=(15 * scale, 28 * scale), radius=120 * scale)
         for k in range(20)
@@ -82,11 +79,23 @@ def opened(source: Any, *, scale: float = 1.0, frozen: bool = False) -> tuple[An
         y, x = np.ogrid[: source.shape[0], : source.shape[1]]
         mask = np.hypot((x / scale - 480) / 220, (y / scale - 560) / 160) < 1
         strokes.insert(10, Stroke.freeze(Freeze.of(mask), ndim=2))
-    view = opened_on(source, Recipe(border=None, strokes=tuple(strokes)), canvas, _LOOP)
+    return strokes
+
+
+def shown(source: Any, *strokes: Stroke, size: tuple[int, int] = (1280, 800)) -> tuple[Any, Any]:
+    """Return a view of a source with strokes, and its canvas, whose pictures are not read back, as on a screen."""
+    canvas = RenderCanvas(size=size)
+    view = opened(source, Recipe(border=None, strokes=strokes), canvas, _LOOP)
     canvas.draw()
-    # Without a screen, it would read each picture back; a screen takes it where it is.
     view._context._rc_present = lambda **options: {"method": "skip"}
     return view, canvas
+
+
+def send(canvas: Any, kind: str, x: float, y: float, *buttons: int) -> None:
+    """Send an event of a pointer."""
+    common = {"modifiers": (), "time_stamp": time.perf_counter(), "ntouches": 0, "touches": {}}
+    canvas.submit_event(common | {"event_type": kind, "x": x, "y": y, "button": 1, "buttons": buttons})
+    canvas._process_events()
 
 
 class Clock:
@@ -152,22 +161,16 @@ class Clock:
 def dragged(view: Any, canvas: Any) -> tuple[tuple[float, float, float], float, float]:
     """A drag's median frame, as `Clock.frames` tells it; frames a second; and Python's part if the device rests."""
 
-    def send(kind: str, x: float, y: float, *buttons: int) -> None:
-        common = {"modifiers": (), "time_stamp": time.perf_counter(), "ntouches": 0, "touches": {}}
-        event = {"event_type": kind, "x": x, "y": y, "button": 1, "buttons": buttons}
-        canvas.submit_event(common | event)
-        canvas._process_events()
-
     def frames(first: int) -> Iterator[Callable[[], None]]:
         for k in range(first, first + 80):
 
             def frame(k: int = k) -> None:
-                send("pointer_move", 402 + k, 400 - k, 1)
+                send(canvas, "pointer_move", 402 + k, 400 - k, 1)
                 canvas.draw()
 
             yield frame
 
-    send("pointer_down", 400, 400, 1)
+    send(canvas, "pointer_down", 400, 400, 1)
     for frame in frames(0):  # it learns how large pixels must be
         frame()
     begun = time.perf_counter()
@@ -180,84 +183,50 @@ def dragged(view: Any, canvas: Any) -> tuple[tuple[float, float, float], float, 
     queue.submit = lambda commands: None
     alone = clock.frames(frames(240))[0]
     queue.submit = submit
-    send("pointer_up", 722, 80)
+    send(canvas, "pointer_up", 722, 80)
     return parts, rate, alone
 
 
-def clip(target: Path, frames: int = 100, rate: int = 25) -> Path:
-    """A clip of 1080p."""
-    with av.open(str(DATA / "bunny.mp4")) as source, av.open(str(target), "w") as out:
-        stream = out.add_stream("libx264", rate=rate, options={"preset": "veryfast", "g": "25"})
-        stream.width, stream.height, stream.pix_fmt = 1920, 1080, "yuv420p"
-        given = [frame.reformat(1920, 1080, "yuv420p") for frame in itertools.islice(source.decode(video=0), 25)]
-        for k in range(frames):  # to and fro
-            frame = given[min(k % 48, 48 - k % 48)]
-            frame.pts = None
-            out.mux(stream.encode(frame))
-        out.mux(stream.encode(None))
-    return target
-
-
-def played(path: Path, seconds: float = 3.0) -> tuple[float, int, int]:
-    """The rate of a clip that is bent in time; how many frames are due in some seconds, and how many are seen."""
-    from rendercanvas.offscreen import RenderCanvas
-
-    from supple.viewer.window.launch import opened as opened_on
-
-    canvas = RenderCanvas(size=(1920 + WIDE, 1080 + BAR + LINE))
+def played(path: Path, rate: int = 25, spent: float = 3.0) -> tuple[int, int]:
+    """Return how many frames of a clip that is bent in time are due in some seconds, and how many are seen."""
     stroke = Stroke.grab((960, 540, 40), by=(150, 0, 4), radius=300)
-    view = opened_on(path, Recipe(border=None, strokes=(stroke,)), canvas, _LOOP)
-    playback = view.tools.playback
+    view, canvas = shown(path, stroke, size=(1920 + WIDE, 1080 + BAR + LINE))
     for _ in range(20):  # what is compiled, and the first frames
         canvas.draw()
         time.sleep(0.05)
-    view._context._rc_present = lambda **options: {"method": "skip"}
     seen = []
-    playback.toggle()
+    view.tools.playback.toggle()
     begun = time.perf_counter()
-    while time.perf_counter() - begun < seconds:
+    while time.perf_counter() - begun < spent:
         canvas.draw()
         if view.painter.ready:
-            seen.append(playback.frame)
+            seen.append(view.tools.playback.frame)
         time.sleep(0.001)
-    rate = view.stage.rate
     view.close()
-    return rate, round(rate * seconds), len([a for a, b in itertools.pairwise(seen) if a != b]) + 1
+    return round(rate * spent), len([a for a, b in itertools.pairwise(seen) if a != b]) + 1
 
 
 def pulled(target: Path, moves: int = 40) -> tuple[float, float]:
     """Frames a second of a drag on the rendering of a head of 256³ voxels, and seconds until that is whole after it."""
     import SimpleITK as sitk  # noqa: N813
     from heads import SHIPPED, cube
-    from rendercanvas.offscreen import RenderCanvas
-
-    from supple.viewer.window.launch import opened as opened_on
 
     head = sitk.ReadImage(str(SHIPPED), sitk.sitkFloat32)
     finer = sitk.Resample(head, cube(head, 256), sitk.Transform(), sitk.sitkBSpline, 0.0)
     sitk.WriteImage(sitk.Cast(sitk.Clamp(finer, sitk.sitkFloat32, 0, 255), sitk.sitkInt16), str(target))
-    canvas = RenderCanvas(size=(1280, 800))
-    view = opened_on(target, Recipe(), canvas, _LOOP)
-    canvas.draw()
-    view._context._rc_present = lambda **options: {"method": "skip"}
-
-    def send(kind: str, x: float, y: float, *buttons: int) -> None:
-        common = {"modifiers": (), "time_stamp": time.perf_counter(), "ntouches": 0, "touches": {}}
-        canvas.submit_event(common | {"event_type": kind, "x": x, "y": y, "button": 1, "buttons": buttons})
-        canvas._process_events()
-
+    view, canvas = shown(target)
     left, top, width, height = view.tools.places[RENDERED]
     x, y = left + width / 2, top + height / 2
-    send("pointer_move", x, y)
+    send(canvas, "pointer_move", x, y)
     canvas.draw()
-    send("pointer_down", x, y, 1)
+    send(canvas, "pointer_down", x, y, 1)
     begun = time.perf_counter()
     for k in range(2 * moves):  # it learns in the first half
         begun = time.perf_counter() if k == moves else begun
-        send("pointer_move", x - k / 2, y + k / 2, 1)
+        send(canvas, "pointer_move", x - k / 2, y + k / 2, 1)
         canvas.draw()
     rate = moves / (time.perf_counter() - begun)
-    send("pointer_up", x - moves, y + moves)
+    send(canvas, "pointer_up", x - moves, y + moves)
     begun = time.perf_counter()
     while view.filled < 1 or view._drawn_key is None or view._drawn_key[1]:
         canvas.draw()
@@ -283,14 +252,14 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         os.environ["XDG_STATE_HOME"] = folder
         photo = np.ascontiguousarray(np.tile(image.read(DATA / "coffee.jpg").pixels, (3, 4, 1))[:1080, :1920])
-        view, canvas = opened(photo)
+        view, canvas = shown(photo, *twenty(photo))
         (python, native, warp), rate, alone = dragged(view, canvas)
         print(f"{open_gpu().name}\n")
         print("| what | measured | bar |\n|---|---|---|")
-        print(f"| from a move to its frame, Python's part | {milliseconds(python)} | 2 ms |")
-        print(f"| the same, where the device does not work on the same processor | {milliseconds(alone)} | 2 ms |")
-        print(f"| wgpu's native library and the driver, on the same thread | {milliseconds(native)} | |")
-        print(f"| the CPU's warp, on the same thread | {milliseconds(warp)} | |")
+        print(f"| from a move to its frame, Python's part | {seconds(python)} | 2 ms |")
+        print(f"| the same, where the device does not work on the same processor | {seconds(alone)} | 2 ms |")
+        print(f"| wgpu's native library and the driver, on the same thread | {seconds(native)} | |")
+        print(f"| the CPU's warp, on the same thread | {seconds(warp)} | |")
         print(f"| frames a second meanwhile, drawn at 1/{view.painter.coarse} | {rate:.0f} | 25 |")
         view.close()
         large = np.tile(photo, (4, 4, 1))[:4000, :6000]
@@ -299,15 +268,13 @@ def main() -> None:
             ("the same, 24 megapixels", large, 4000 / 1080, False, 12),
             ("the same, 24 megapixels, with a freeze among the strokes", large, 4000 / 1080, True, 12),
         ):
-            view, canvas = opened(source, scale=scale, frozen=frozen)
+            view, canvas = shown(source, *twenty(source, scale, frozen))
             (python, native, warp), rate, _ = dragged(view, canvas)
-            print(f"| {what}: the CPU's warp, of one thread | {milliseconds(warp)} | |")
+            print(f"| {what}: the CPU's warp, of one thread | {seconds(warp)} | |")
             print(f"| frames a second | {rate:.0f} | {bar} |")
             view.close()
-        rate, due, seen = played(clip(Path(folder) / "clip.mp4"))
-        print(
-            f"| 1080p clip of {rate:g} frames a second, bent and played: frames of {due} | {seen} | {due}, on a GPU |"
-        )
+        due, seen = played(enlarged(Path(folder) / "clip.mp4", 100, 1920, 1080, "veryfast"))
+        print(f"| 1080p clip of 25 frames a second, bent and played: frames of {due} | {seen} | {due}, on a GPU |")
         rate, taken = pulled(Path(folder) / "head.nii.gz")
         print(f"| frames a second of a drag on the rendering of a head of 256³ voxels | {rate:.0f} | 10 |")
         print(f"| from its end to the whole rendering | {taken:.2f} s | 3 s |")

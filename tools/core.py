@@ -18,7 +18,6 @@ import subprocess
 import sys
 import sysconfig
 import tempfile
-import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -61,34 +60,19 @@ class Progress:
         self._begun = time.monotonic()
         self._said = -self.SECONDS
         self._states: dict[str, str] = {}
-        self._lock = threading.Lock()
         self._anew = sys.stdout.isatty()
-        threading.Thread(target=self._tick, daemon=True).start()
-
-    def _tick(self) -> None:
-        """Show that time goes on, where nothing else is new."""
-        while True:
-            time.sleep(1 if self._anew else self.SECONDS / 4)
-            with self._lock:
-                self._show()
 
     def tell(self, what: str, state: str) -> None:
         """Say how far something is."""
-        with self._lock:
-            self._states[what] = state
-            self._show()
+        self._states[what] = state
+        if self._anew or time.monotonic() > self._said + self.SECONDS:
+            self._said = time.monotonic()
+            self._print("; ".join(f"{name}: {state}" for name, state in [*self._states.items()]))
 
     def end(self, what: str, state: str) -> None:
         """Say that something has ended, in a line of its own, if it was begun."""
-        with self._lock:
-            if self._states.pop(what, None) is not None:
-                self._print(f"{what}: {state}", "\n")
-                self._show()
-
-    def _show(self) -> None:
-        if self._states and (self._anew or time.monotonic() > self._said + self.SECONDS):
-            self._said = time.monotonic()
-            self._print("; ".join(f"{name}: {state}" for name, state in self._states.items()))
+        if self._states.pop(what, None) is not None:
+            self._print(f"{what}: {state}", "\n")
 
     def _print(self, text: str, end: str = "") -> None:
         line = f"[{time.monotonic() - self._begun:3.0f} s] {text}"

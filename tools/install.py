@@ -13,8 +13,8 @@ import re
 import shutil
 import subprocess
 import sys
-import threading
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from importlib.util import find_spec
 
 import core
@@ -57,24 +57,16 @@ def install(requirements: Sequence[str], progress: core.Progress, what: str) -> 
     raise core.BuildError(NO_NETWORK)
 
 
-class Compiling(threading.Thread):
-    """The core, compiled in a thread; ``failure`` says why it is not."""
-
-    failure: core.BuildError | None = None
-
-    def __init__(self, progress: core.Progress, best: bool) -> None:
-        super().__init__()
-        self._progress, self._best = progress, best
-
-    def run(self) -> None:
-        """Compile."""
-        try:
-            core.build(best=self._best, tell=lambda state: self._progress.tell(core.WHAT, state))
-            self._progress.end(core.WHAT, "compiled")
-        except Exception as error:
-            self._progress.end(core.WHAT, "not compiled")
-            known = isinstance(error, core.BuildError)
-            self.failure = error if known else core.BuildError(f"the core: {type(error).__name__}: {error}")
+def compiled(progress: core.Progress, best: bool) -> None:
+    """Compile the core."""
+    try:
+        core.build(best=best, tell=lambda state: progress.tell(core.WHAT, state))
+        progress.end(core.WHAT, "compiled")
+    except Exception as error:
+        progress.end(core.WHAT, "not compiled")
+        if isinstance(error, core.BuildError):
+            raise
+        raise core.BuildError(f"the core: {type(error).__name__}: {error}") from error
 
 
 def main() -> int:
@@ -88,16 +80,12 @@ def main() -> int:
     if missing:
         install(missing, progress, "tools for compiling")
         importlib.invalidate_caches()
-    compiling = Compiling(progress, bool(options.demo))
-    compiling.start()
-    try:
+    with ThreadPoolExecutor(1) as pool:
+        compiling = pool.submit(compiled, progress, bool(options.demo))
         if options.extras:
             editable = ["--config-settings", "core=later", "--editable", f".[{options.extras}]"]
             install(editable, progress, "libraries")
-    finally:
-        compiling.join()
-    if compiling.failure:
-        raise compiling.failure
+    compiling.result()
     if options.demo:
         command = [sys.executable, "-m", "supple", "demo", options.demo, "--force"]
         return subprocess.run(command, cwd=core.ROOT, check=False).returncode

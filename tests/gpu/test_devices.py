@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-import re
-from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
 import pytest
 
 import supple
-from supple import _core
 from supple.cli import command
 from supple.errors import SuppleError
 from supple.gpu import device as devices
-from supple.gpu import shader
 from supple.gpu.device import Gpu, gpu_of
 
 
@@ -60,13 +56,3 @@ def test_the_command_line_lists_it(gpu: Gpu, capsys: pytest.CaptureFixture[str])
     assert command(["info", "--gpu"]) == 0
     assert gpu.name in capsys.readouterr().out
     assert command(["info"]) == 2
-
-
-def test_shaders_have_the_numbers_of_the_host() -> None:
-    shaders = [path.read_text(encoding="utf-8") for path in Path(shader.__file__).with_name("shaders").glob("*.wgsl")]
-    assert len(shaders) > 10
-    for name, value in {**_core.constants, "CELL": shader.CELL, "FAR": shader.FAR}.items():
-        found = re.search(rf"const {name} = ([-+.\de]+)u?;", shader.source("raymarch"))
-        assert found
-        assert float(found[1]) == pytest.approx(value, rel=1e-6)
-        assert not any(re.search(rf"^const {name}\b", text, re.M) for text in shaders)  # and not by hand

@@ -115,20 +115,6 @@ def test_overlays_show_what_the_map_does(gpu: Gpu, photo: np.ndarray, overlay: s
     assert np.abs(plain - over).max() > 40
 
 
-def test_the_stretch_leaves_alone_what_keeps_its_size(gpu: Gpu, photo: np.ndarray) -> None:
-    def seen(d: supple.Deformation, overlay: str) -> np.ndarray:
-        return drawn(gpu, photo, d, Sight((0.0, 0.0), 1.0, SHAPE[::-1], overlay=overlay))[..., :3]
-
-    still = supple.Deformation(SHAPE, border=None)
-    np.testing.assert_array_equal(seen(still, "stretch"), seen(still, ""))
-    wide = still.scale((60, 45), factor=1.5, radius=20)
-    narrow = still.scale((60, 45), factor=0.6, radius=20)
-    (larger, plain), (smaller, other) = ((seen(d, "stretch")[45, 60], seen(d, "")[45, 60]) for d in (wide, narrow))
-    # Red where it is larger, and blue where it is smaller.
-    assert larger[0] - plain[0] > larger[2] - plain[2]
-    assert smaller[2] - other[2] > smaller[0] - other[0]
-
-
 def test_a_ring_of_frames(gpu: Gpu, photo: np.ndarray) -> None:
     frames = [np.roll(photo, 5 * k, axis=1) for k in range(9)]
     plate = Plate(gpu, SHAPE[::-1], 9, 3)

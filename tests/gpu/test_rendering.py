@@ -72,22 +72,6 @@ def test_projections_planes_silhouettes_and_shadows_are_the_cpu_s(
         assert (np.isfinite(one.depth) != np.isfinite(other.depth)).mean() < 4e-3
 
 
-@pytest.mark.parametrize("mode", ["exact", "buffered"])
-@pytest.mark.parametrize("profile", ["quartic", "sine"])
-def test_strokes_with_a_reach_are_seen(gpu: Gpu, cloud: np.ndarray, mode: str, profile: str) -> None:
-    made = [
-        supple.Deformation(SHAPE, spacing=GEOMETRY.spacing, border=6, border_profile=profile, on_fold="damp").grab(
-            (13, 14, 11), by=(2, -1, 1), radius=6, reach=reach
-        )
-        for reach in (1.6, None)
-    ]
-    options: dict[str, Any] = {"transfer": SOFT, "mode": mode, "tolerance": 0.05}
-    camera = Camera(azimuth=25, elevation=20)
-    near, far = (Scene(cloud, GEOMETRY, deformation=d, device="gpu", **options).render(camera, SIZE) for d in made)
-    assert apart(near, Scene(cloud, GEOMETRY, deformation=made[0], **options).render(camera, SIZE)) > 50
-    assert apart(near, far) < 45
-
-
 @pytest.mark.parametrize("dtype", [np.uint8, np.int8, np.uint16, np.int16, np.float32, np.float64, np.bool_])
 def test_any_type_of_samples(gpu: Gpu, cloud: np.ndarray, dtype: Any) -> None:
     given = (
@@ -195,7 +179,7 @@ def test_a_texture_receives_the_picture(gpu: Gpu, cloud: np.ndarray, bent: suppl
     wanted = scene.render(Camera(azimuth=25), (height, width), supersampling=2).pixels((0.1, 0.2, 0.3))
     assert np.abs(found[..., :3].astype(int) - wanted).max() <= 1
     assert (found[..., 3] == 255).all()
-    with pytest.raises(SuppleError, match="texture must be rgba8unorm, of 80 x 60 pixels or more"):
+    with pytest.raises(SuppleError, match="of usage STORAGE_BINDING and 80 x 60 pixels or more"):
         scene.draw(texture, size=(60, 80))
 
 
@@ -220,35 +204,6 @@ def test_inversions_tint_the_picture(gpu: Gpu, cloud: np.ndarray, bent: supple.D
         scene.draw(texture, overlay="grid")
 
 
-def test_what_a_caller_raises_is_no_fault_of_the_gpu(gpu: Gpu, cloud: np.ndarray) -> None:
-    scene = Scene(cloud, GEOMETRY, transfer=SOFT, device="gpu")
-
-    def stop(rows: int) -> None:
-        raise RuntimeError("enough")
-
-    with pytest.raises(RuntimeError, match="enough"):
-        scene.render(size=SIZE, tell=stop)
-    assert devices.open_gpu() is gpu
-
-
-def test_parts_of_work_take_about_as_long(monkeypatch: pytest.MonkeyPatch) -> None:
-    clock = [0.0]
-    monkeypatch.setattr("supple.gpu.shader.time.perf_counter", lambda: clock[0])
-    pace, counts = shader.Pace(1), []
-    for first, count in pace.parts(1000, 0.25):
-        assert first == sum(counts)
-        counts.append(count)
-        clock[0] += count / 128
-    assert sum(counts) == 1000
-    assert counts[:3] == [1, 4, 16]
-    assert max(counts) == 32
-    counts.clear()
-    for _, count in pace.parts(1000, 0.25, 0.375):
-        counts.append(count)
-        clock[0] += count / 128
-    assert counts == [32, 16]
-
-
 def test_what_is_beyond_the_tolerance_is_said_so() -> None:
     for error, said in ((0.1, 0.125), (0.19, 0.2), (1.0, 1.25), (np.inf, np.inf)):
         found = Lattice({}, {}, {}, 2, None, error)
@@ -258,7 +213,7 @@ def test_what_is_beyond_the_tolerance_is_said_so() -> None:
 def test_textures_that_do_not_fit_are_refused(gpu: Gpu, cloud: np.ndarray) -> None:
     scene = Scene(cloud, GEOMETRY, transfer=SOFT, device="gpu")
     bare = gpu.device.create_texture(size=(8, 8, 1), format="rgba8unorm", usage="COPY_SRC")
-    with pytest.raises(SuppleError, match="texture must be of usage STORAGE_BINDING"):
+    with pytest.raises(SuppleError, match="texture must be rgba8unorm, of usage STORAGE_BINDING and 8 x 8 pixels"):
         scene.draw(bare)
     texture = gpu.device.create_texture(size=(8, 8, 1), format="rgba8unorm", usage="STORAGE_BINDING")
     for background in ((1, 1), "red", (np.nan, 0, 0), (2, -1, 0)):
@@ -269,7 +224,7 @@ def test_textures_that_do_not_fit_are_refused(gpu: Gpu, cloud: np.ndarray) -> No
     with pytest.raises(SuppleError, match="camera must be a Camera, found 'x'"):
         scene.draw(texture, "x")  # type: ignore[arg-type]
     texture.destroy()
-    with pytest.raises(SuppleError, match="the texture was destroyed: make another one"):
+    with pytest.raises(SuppleError, match=r"could not draw: .*destroyed"):
         scene.draw(texture)
     other = devices.adapters()[0].request_device_sync()
     foreign = other.create_texture(size=(8, 8, 1), format="rgba8unorm", usage="STORAGE_BINDING")

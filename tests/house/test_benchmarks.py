@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import importlib.util
+import importlib
 import json
 import os
 import subprocess
@@ -19,15 +19,10 @@ from tools.core import machine_compiler
 FOLDER = ROOT / "benchmarks"
 
 
-@pytest.fixture(scope="module")
-def paired() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("paired", FOLDER / "paired.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules["paired"] = module
-    spec.loader.exec_module(module)
-    return module
+@pytest.fixture
+def measure(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
+    monkeypatch.syspath_prepend(str(FOLDER))
+    return importlib.import_module("measure")
 
 
 class Played:
@@ -51,12 +46,12 @@ class Played:
         return done
 
 
-def test_pairs_alternate_after_calls_that_do_not_count(paired: ModuleType) -> None:
+def test_pairs_alternate_after_calls_that_do_not_count(measure: ModuleType) -> None:
     clock = Played()
     # What compiles takes a minute, and is not seen; the machine then slows down, and the ratio is what it was.
     ours = clock.work("o", 60.0, 1.0, 1.0, *(0.001 * k for k in range(1, 16)))
     peer = clock.work("p", 60.0, 1.0, 1.0, *(0.002 * k for k in range(1, 16)))
-    line = paired.against("a row", ours, peer, clock, 15, 0.5)
+    line = measure.against("a row", ours, peer, clock, 15, 0.5)
     assert clock.calls == "op" * 3 + ("poop" * 8)[:30]
     assert line.ours.median == pytest.approx(0.008)
     assert (line.ours.low, line.ours.high) == (pytest.approx(0.002), pytest.approx(0.014))
@@ -65,21 +60,21 @@ def test_pairs_alternate_after_calls_that_do_not_count(paired: ModuleType) -> No
 
 
 @pytest.mark.parametrize(("bar", "word"), [(3.0, "≤ 3 | holds"), (1.9, "≤ 1.9 | **missed**"), (None, " | ")])
-def test_a_line_says_whether_its_bar_is_met(paired: ModuleType, bar: float | None, word: str) -> None:
+def test_a_line_says_whether_its_bar_is_met(measure: ModuleType, bar: float | None, word: str) -> None:
     clock = Played()
-    line = paired.took("a row", clock.work("o", 0.002), clock, 5, bar, "and why")
+    line = measure.took("a row", clock.work("o", 0.002), clock, 5, bar, "and why")
     assert str(line) == f"| a row | 2.00 (2.00–2.00) ms |  |  | {word} | 5 | and why |"
-    assert paired.missed([line]) == ("missed" in word)
+    assert measure.missed([line]) == ("missed" in word)
     assert json.loads(json.dumps(line.told()))["holds"] == (None if bar is None else bar == 3)
 
 
-def test_cells_of_a_peer_agree(paired: ModuleType) -> None:
+def test_cells_of_a_peer_agree(measure: ModuleType) -> None:
     clock = Played()
     # Ours is slower in turn than alone; the medians of a machine that slows down do not divide to the median ratio.
     ours = clock.work("o", 1.0, 1.0, 0.001, 0.002, 0.0025)
     peer = clock.work("p", 1.0, 1.0, 0.2, 0.3, 0.4)
-    assert paired.in_turn(peer, ours, clock, 3) == "300 ms | 1.88 ms | 160"
-    assert paired.seconds(1.234) == "1.23 s"
+    assert measure.in_turn(peer, ours, clock, 3) == "300 ms | 1.88 ms | 160"
+    assert measure.seconds(1.234) == "1.23 s"
 
 
 @soak("the benchmark of CUDA, without a GPU")

@@ -35,7 +35,7 @@ def beside(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
 
 def bump(beside: ModuleType, by: tuple[float, float]) -> npt.NDArray[np.float64]:
     """A map that shows at (40, 30) what is at (40, 30) - by, and moves less and less around it."""
-    q = beside.pixels(64, 80)
+    q = beside.grid_of((64, 80))
     weight = np.exp(-((q - (40.0, 30.0)) ** 2).sum(axis=-1) / 200)
     return np.asarray(q - weight[..., None] * by)
 
@@ -48,11 +48,11 @@ def test_where_a_point_arrives(beside: ModuleType) -> None:
 
 
 def test_folds_are_counted(beside: ModuleType) -> None:
-    assert beside.folded(beside.pixels(20, 30)) == 0
+    assert beside.folded(beside.grid_of((20, 30))) == 0
     # The slope of the bump's displacement is at most 1.21 / 20 of its height: from 16.5 pixels on, it folds.
     assert beside.folded(bump(beside, (16.0, 0.0))) == 0
     assert beside.folded(bump(beside, (17.5, 0.0))) > 0
-    mirrored = beside.pixels(20, 30)[:, ::-1]
+    mirrored = beside.grid_of((20, 30))[:, ::-1]
     assert beside.folded(mirrored) == 19 * 29
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -62,22 +61,6 @@ def test_the_box_of_the_whole_volume_changes_no_bit(bent: supple.Deformation, mo
             np.testing.assert_array_equal(one.samples, two.samples)
 
 
-def test_a_box_is_what_the_volume_cut_to_it_shows() -> None:
-    """Without shades, whose gradients at the faces of a volume have no neighbours."""
-    volume = cloud()
-    volume[9, 15, 10], volume[9, 15, 11] = volume.min(), volume.max()  # colours are spread over the range of values
-    scene = Scene(volume, GEOMETRY, transfer=SOFT, shaded=False, clip=CLIP)
-    alone = Scene(volume[:18, 8:, 6:21], GEOMETRY, transfer=SOFT, shaded=False)
-    assert scene.range == alone.range
-    for camera in CAMERAS:
-        one = scene.render(camera, SIZE)
-        other = alone.render(replace(camera, target=(13.5 - 6, 14.5 - 8, 11.5)), SIZE)
-        assert (one.light[..., 3] > 0.1).sum() > 300
-        # Positions along a ray are rounded from another origin: a table's entry may be its neighbour.
-        assert np.quantile(np.abs(one.light - other.light).max(axis=-1), 0.98) < 2e-3
-        np.testing.assert_allclose(one.depth, other.depth, atol=1e-3)
-
-
 def test_a_clipped_scene_is_the_scene_that_is_made_so(bent: supple.Deformation) -> None:
     options: dict[str, Any] = {"deformation": bent, "transfer": SOFT, "mode": "buffered"}
     scene = Scene(cloud(), GEOMETRY, **options)
@@ -125,17 +108,6 @@ def test_a_cut_face_is_lit_as_a_plane(bent: supple.Deformation, mode: str) -> No
             found[axis] += 1
             assert light[y, x] == pytest.approx(0.15 + 0.8 * abs(float(lamp(view)[axis])), abs=1e-3)
     assert min(found[1], found[2]) > 200
-
-
-def test_faces_of_the_volume_are_lit_as_those_of_a_box() -> None:
-    """Gradients within what reaches them point anywhere, too."""
-    noise = np.random.default_rng(3).random(SHAPE).astype(np.float32) + 1
-    camera = Camera(0, 0, distance=2000, field_of_view=1)
-    whole = Scene(noise, GEOMETRY, transfer=SOLID)
-    for scene in (whole, whole.clipped(((None, None), (4, None), (None, None)))):
-        light = scene.render(camera, SIZE).light[20:28, 25:35, 0]
-        axis = 0.15 + 0.8 * abs(float(lamp(scene.view(camera, SIZE))[1]))
-        np.testing.assert_allclose(light, axis, atol=1e-3)
 
 
 @pytest.mark.parametrize(

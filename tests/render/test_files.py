@@ -18,7 +18,6 @@ from supple import cli
 from supple.cli import command
 from supple.files.options import VolumeOptions
 from supple.files.renders import RenderOptions, default_transfer, render_file
-from supple.gpu.device import Gpu
 from supple.media import image
 from supple.media import volume as media
 from supple.render.camera import Camera
@@ -238,20 +237,6 @@ def test_a_turn_as_pictures(here: Path) -> None:
     render_file("in.nii", "turn/%02d.png", options=known, force=True)
 
 
-@pytest.mark.parametrize("device", ["cpu", "gpu"])
-def test_a_hybrid_turn_is_the_same_each_time(
-    here: Path, gpu: Gpu, device: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    stored("in.nii", head())
-    shown = ["--turntable", "3", "--size", "40x40", "--device", device, "--quiet", "--json"]
-    for mode in ("hybrid", "buffered"):
-        assert command(["render", "in.nii", f"{mode}/%d.png", *GRAB, *shown, "--mode", mode]) == 0
-        assert json.loads(capsys.readouterr().out)["device"] == (gpu.name if device == "gpu" else "cpu")
-    for k in range(3):
-        made = (image.read(f"{mode}/{k}.png").pixels for mode in ("hybrid", "buffered"))
-        np.testing.assert_array_equal(*made)
-
-
 def test_inversions(here: Path) -> None:
     stored("in.nii", head())
     for mode in ("exact", "buffered"):
@@ -281,23 +266,6 @@ def test_density_and_transfer(here: Path) -> None:
     seen = {p.stem: (image.read(p).pixels[..., 3] > 128).sum() for p in here.glob("*.png")}
     assert seen["bone"] == seen["json"] < 0.6 * seen["skin"]
     assert seen["inside"] < 0.6 * seen["skin"]
-
-
-def test_a_box_of_it(here: Path) -> None:
-    stored("in.nii", head())
-    strokes = ["--grab", "14,20,10:16,24,12", "--radius", "8", "--border", "none"]
-    assert command(["render", "in.nii", "whole.png", *strokes]) == 0
-    assert command(["render", "in.nii", "open.png", *strokes, "--clip", ":,:,:"]) == 0
-    assert command(["render", "in.nii", "cut.png", *strokes, "--clip", ":, 12.5:,2:20"]) == 0
-    whole, same, cut = (image.read(f"{name}.png").pixels for name in ("whole", "open", "cut"))
-    np.testing.assert_array_equal(same, whole)
-    assert (cut != whole).any()
-    assert (cut[..., 3] > 128).sum() > (whole[..., 3] > 128).sum()  # nearer to the camera
-    options = RenderOptions(clip=((None, None), (12.5, None), (2, 20)))
-    recipe = supple.Recipe(border=None, strokes=(supple.Stroke.grab((14, 20, 10), to=(16, 24, 12), radius=8),))
-    scene = render_file("in.nii", "python.png", recipe, options=options)
-    np.testing.assert_array_equal(image.read("python.png").pixels, cut)
-    assert scene.clip == ((0.0, 27.0), (12.5, 29.0), (2.0, 20.0))
 
 
 def test_series_and_raw(here: Path) -> None:
@@ -425,30 +393,6 @@ def test_a_transfer_function_appears_with_its_picture(here: Path, monkeypatch: p
     with pytest.raises(supple.SuppleError, match="No space left"):
         render_file("in.nii", "out.png", options=RenderOptions("grey", save_transfer="look.json", size=(8, 8)))
     assert [path.name for path in here.iterdir()] == ["in.nii"]
-
-
-def test_points_on_everything(here: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    stored("in.nii", head())
-    image.write("photo.png", np.zeros((60, 80), np.uint8))
-    Path("p.csv").write_text("name,x,y,z\na,13,14,11\n", encoding="utf-8")
-    Path("q.csv").write_text("name,x,y\na,30,30\n", encoding="utf-8")
-    given = ["--border", "none", "--json"]
-    assert command(["points", "p.csv", "moved.csv", "--on", "in.nii", *GRAB, *given]) == 0
-    facts = json.loads(capfd.readouterr().out)
-    assert facts["displaced"] == pytest.approx([4.0])
-    row = Path("moved.csv").read_text(encoding="utf-8").splitlines()[1].split(",")
-    np.testing.assert_allclose([float(x) for x in row[1:4]], [17, 14, 11], atol=1e-12)
-    assert command(["points", "moved.csv", "back.csv", "--on", "in.nii", *GRAB, *given, "--inverse"]) == 0
-    row = Path("back.csv").read_text(encoding="utf-8").splitlines()[1].split(",")
-    np.testing.assert_allclose([float(x) for x in row[1:4]], [13, 14, 11], atol=1e-6)
-    flat = ["--grab", "30,30:35,28", "--radius", "10"]
-    assert command(["points", "q.csv", "moved2.csv", "--on", "photo.png", *flat, "--border", "none"]) == 0
-    assert "a,35.0,28.0," in Path("moved2.csv").read_text(encoding="utf-8")
-    assert "1 point, moved by up to 5.39 px" in capfd.readouterr().out
-    assert command(["points", "q.csv", "x.csv", "--on", "in.nii", *GRAB]) == 2
-    assert command(["points", "q.csv", "x.csv", "--on", "photo.png", *flat, "--world"]) == 2
-    assert "--world is for volumes" in capfd.readouterr().err
-    assert not Path("x.csv").exists()
 
 
 def test_a_recipe_is_not_replaced_by_a_transfer_function(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:

@@ -171,19 +171,6 @@ def test_hidden_labels_do_not_show_at_surfaces_of_others() -> None:
     assert scene_of(labels, transfer=colours, density=(5, 9)).is_empty
 
 
-@pytest.mark.parametrize("mode", MODES)
-def test_skipping_empty_bricks_leaves_the_picture_as_it_is(mode: str) -> None:
-    labels = np.zeros(SHAPE, np.uint8)
-    labels[3:6, 4:8, 3:8], labels[12:17, 14:20, 12:18], labels[12:17, 3:8, 14:18] = 1, 2, 3
-    scene = scene_of(labels, mode, transfer=LabelColours({1: (1, 0, 0, 1), 3: (0, 0, 1, 0.3)}))
-    skipping = scene.render(CAMERA, SIZE)
-    assert (scene._skips > 0).mean() > 0.3
-    scene._skips = np.zeros_like(scene._skips)
-    every = scene.render(CAMERA, SIZE)
-    np.testing.assert_allclose(skipping.light, every.light, atol=1e-6)
-    assert mode == "exact" or every.samples.sum() > 1.5 * skipping.samples.sum()
-
-
 @pytest.mark.parametrize("kind", ["labels", "colours"])
 def test_a_deformed_scene_is_that_of_the_warped_volume(kind: str) -> None:
     samples: npt.NDArray[Any] = two() if kind == "labels" else cube(np.uint8, 4)[0]
@@ -322,21 +309,6 @@ def test_faces_of_a_block_have_their_colours(dtype: Any, channels: int) -> None:
     options: dict[str, Any] = {"transfer": scene.transfer, "shaded": False, "step": 1.5}
     moved = scene_of(samples, "exact", **options).render(Camera(0, 0), SIZE).pixels()  # once: colours end in black
     assert np.abs(moved[30, 30].astype(int) - (*faces["front"], 255)).max() <= 1
-
-
-def test_colours_are_as_opaque_as_their_luminance_and_shaded_as_it_is() -> None:
-    rng = np.random.default_rng(3)
-    smooth = np.add.outer(np.add.outer(np.arange(20), np.arange(24)), np.arange(22)) * 4
-    grey = np.asarray(smooth % 250, np.uint8)
-    tint = np.stack([grey] * 3, axis=-1)
-    scene, alone = (Scene(a, GEOMETRY, transfer="grey") for a in (tint, grey))
-    np.testing.assert_array_equal(scene.samples, alone.samples)
-    a, b = scene.render(CAMERA, SIZE), alone.render(CAMERA, SIZE)
-    np.testing.assert_array_equal(a.light[..., 3], b.light[..., 3])
-    np.testing.assert_array_equal(a.depth, b.depth)
-    noise = rng.integers(0, 256, (4, 5, 6, 3), dtype=np.uint8)
-    wanted = np.rint(noise @ np.array([0.2126, 0.7152, 0.0722]))
-    np.testing.assert_array_equal(Scene(noise).samples, wanted)
 
 
 @pytest.mark.parametrize(

@@ -23,8 +23,6 @@ from supple.render.transfer import TransferFunction
 from supple.space.geometry import Geometry
 from tests.render.test_files import head, stored
 
-Floats = npt.NDArray[np.float64]
-
 SHAPE, SIZE = (24, 30, 28), (30, 36)
 OBLIQUE = Geometry(
     (1.0, 1.2, 1.5), (10.0, -20.0, 5.0), np.array([[0.0, -0.8, 0.6], [1.0, 0.0, 0.0], [0.0, 0.6, 0.8]]) * [1, -1, 1]
@@ -219,7 +217,9 @@ def test_the_command_does_what_python_does(tmp_path: Path, monkeypatch: pytest.M
         "plane": (["--plane", "13,14,12:0.2,-1,0"], {"plane": ((13, 14, 12), (0.2, -1, 0))}),
         "largest": (["--largest"], {"largest": True}),
         "cropped": (["--crop", "4:12,:,:9"], {"crop": ((4, 12), (None, None), (None, 9))}),
+        "cut": (["--clip", ":, 12.5:,2:20"], {"clip": ((None, None), (12.5, None), (2, 20))}),
         "dark": (["--silhouettes", "0.7"], {"silhouettes": 0.7}),
+        "shadowed": (["--shadows", "0.8"], {"shadows": 0.8}),
         "plain": ([], {}),
     }  # fmt: skip
     for name, (words, options) in given.items():
@@ -228,7 +228,7 @@ def test_the_command_does_what_python_does(tmp_path: Path, monkeypatch: pytest.M
         seen = image.read(f"{name}.png").pixels
         np.testing.assert_array_equal(seen, image.read(f"{name}2.png").pixels)
     plain = image.read("plain.png").pixels
-    for name in ("maximum", "plane", "cropped", "dark"):
+    for name in ("maximum", "plane", "cropped", "cut", "dark", "shadowed"):
         assert (image.read(f"{name}.png").pixels != plain).any()
 
 
@@ -250,6 +250,10 @@ def test_the_command_does_what_python_does(tmp_path: Path, monkeypatch: pytest.M
         (["--plane", "1,2:0,0,1"], "--plane must be three numbers"),
         (["--silhouettes", "2"], "silhouettes must be a number from 0 to 1"),
         (["--silhouettes", "1", "--unshaded"], "silhouettes and shadows are of shaded surfaces"),
+        (["--shadows", "2"], "shadows must be a number from 0 to 1"),
+        (["--shadows", "1", "--unshaded"], "silhouettes and shadows are of shaded surfaces"),
+        (["--shadows", "1", "--projection", "average"], "a projection (average) is of all values along a ray"),
+        (["--unshaded", "--projection", "maximum"], "a projection (maximum) is of all values along a ray, in grey"),
         (["--largest", "--density", "-5,300", "--transfer", "all.json"], "all is visible"),
     ],
 )
@@ -264,18 +268,6 @@ def test_what_does_not_fit_is_refused_on_one_line(
     assert said in error
     assert "Traceback" not in error
     assert not Path("out.png").exists()
-
-
-def test_the_largest_part_is_of_what_is_seen() -> None:
-    """Tissue is not seen by a transfer function for lungs, and joins nothing."""
-    volume = np.full((20, 20, 40), -1000, np.int16)
-    volume[2:8, 2:8, 2:8] = -700
-    volume[8:18, 2:14, 2:10] = 40
-    volume[2:10, 2:12, 28:36] = -700
-    made = largest(volume, "ct-lung")
-    assert (made[2:8, 2:8, 2:8] != -700).all()
-    assert (made[2:10, 2:12, 28:36] == -700).all()
-    assert (made[8:18, 2:14, 2:10] == 40).all()
 
 
 def test_windows_of_values_are_whole_at_the_default_step() -> None:

@@ -9,7 +9,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import av
 import numpy as np
 import numpy.typing as npt
 import pytest
@@ -161,35 +160,6 @@ def test_a_file_with_marks(here: Path, gpu: Gpu, device: str) -> None:
     np.testing.assert_array_equal(marked, annotated(plain, view, scene.geometry))
     assert marked.shape == (121, 150, 4)
     assert (marked != plain).any()
-
-
-def test_a_box_is_measured_where_the_camera_looks(here: Path) -> None:
-    known = RenderOptions(size=(120, 120), clip=((None, None), (None, 40), (None, None)), annotate=True)
-    scene = render_file("head.nii.gz", "cut.png", options=known)
-    camera = scene.framed(None, (120, 120))
-    plain = scene.render(camera, (120, 120)).pixels()
-    wanted = annotated(plain, scene.view(camera, (120, 120)), scene.geometry)
-    np.testing.assert_array_equal(image.read("cut.png").pixels, wanted)
-
-
-@pytest.mark.parametrize("suffix", [".mp4", ".mov", ".mkv", ".webm", ".gif"])
-def test_letters_turn_with_a_turn(here: Path, suffix: str) -> None:
-    size = (120, 132)
-    options = RenderOptions(turntable=4, size=size, annotate=True)
-    scene = render_file("head.nii.gz", f"turn{suffix}", options=options)
-    with av.open(f"turn{suffix}") as clip:
-        frames = [frame.to_ndarray(format="rgb24") for frame in clip.decode(video=0)]
-    assert len(frames) == 4
-    cameras = [scene.turned(scene.framed(None, size), k, 4) for k in range(4)]
-    beside = np.s_[50:70, :16]
-    for k, frame in enumerate(frames):
-        plain = scene.render(cameras[k], size).pixels((0.0, 0.0, 0.0))
-        known = [annotated(plain, scene.view(camera, size), scene.geometry).astype(int) for camera in cameras]
-        wanted = known[k]
-        assert frame.shape == wanted.shape == (120, 132, 3)
-        assert abs(frame - wanted).mean() < 3
-        off = [abs(marked[beside] - frame[beside]).mean() for marked in known]
-        assert int(np.argmin(off)) == k
 
 
 BAD = [

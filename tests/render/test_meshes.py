@@ -15,7 +15,6 @@ import supple
 from supple.cli import command
 from supple.errors import OutsideWarning, SuppleError
 from supple.files.meshes import COLOURS, MeshFile, read_surfaces
-from supple.files.renders import RenderOptions, render_file
 from supple.files.volumes import open_volume
 from supple.gpu.device import Gpu
 from supple.media import image
@@ -260,21 +259,6 @@ def test_the_gpu_s_picture_is_the_cpu_s(gpu: Gpu, mode: str) -> None:
     assert np.quantile(abs(one.depth[both] - other.depth[both]), 0.95) < 0.01
 
 
-def test_a_window_shows_meshes(gpu: Gpu) -> None:
-    scene = Scene(ball(8), OBLIQUE, transfer=HARD, meshes=[sphere(9, colour=RED)], device="gpu")
-    assert scene.gpu is not None
-    texture = scene.gpu.device.create_texture(
-        size=(SIZE[1], SIZE[0], 1), format="rgba8unorm", usage="STORAGE_BINDING|COPY_SRC"
-    )
-    scene.draw(texture, CAMERA, background=(0, 0, 0))
-    data = scene.gpu.device.queue.read_texture(
-        {"texture": texture}, {"bytes_per_row": SIZE[1] * 4}, (SIZE[1], SIZE[0], 1)
-    )
-    drawn = np.frombuffer(data, np.uint8).reshape(*SIZE, 4)
-    wanted = scene.render(CAMERA, SIZE).pixels((0, 0, 0))
-    assert abs(drawn[..., :3].astype(int) - wanted).max() <= 1
-
-
 def test_meshes_are_in_view_and_move_with_the_volume() -> None:
     scene = Scene(ball(5), OBLIQUE, transfer=HARD)
     far = sphere(4, (60.0, 14.5, 11.5))
@@ -369,14 +353,6 @@ class TestFiles:
         assert np.ptp(ends[..., 2], axis=1).max() < 1e-9  # in planes
         (red,) = {each.colour for each in read_surfaces([MeshFile("rs.dcm", RED)], volume)}
         assert red == RED
-
-    def test_a_turntable_has_them(self) -> None:
-        options = RenderOptions(turntable=4, size=(40, 40), meshes=[MeshFile(self.stored(), RED)])
-        scene = render_file("in.nii.gz", "turn-%d.png", options=options)
-        framed = scene.framed(None, (40, 40))
-        for k in range(4):
-            wanted = scene.render(scene.turned(framed, k, 4), (40, 40)).pixels()
-            np.testing.assert_array_equal(image.read(f"turn-{k}.png").pixels, wanted)
 
     @pytest.mark.parametrize(
         ("given", "told"),

@@ -12,7 +12,6 @@ from scipy import ndimage
 
 import supple
 from supple import _core
-from supple.render.appearance import brick_counts
 from supple.render.camera import Camera
 from supple.render.picture import Rendering
 from supple.render.scene import MODES, Scene
@@ -195,10 +194,14 @@ GEOMETRIES = {
 }
 
 
+CLIPS = {"whole": None, "box": ((6, 20.25), (4, 22), (5, 20)), "corner": ((None, None), (11.5, None), (None, 16))}
+
+
 @pytest.mark.parametrize(
-    ("where", "transfer", "mode"), effort.pairs(list(GEOMETRIES), ["soft", "hard"], ["plain", *MODES])
+    ("where", "transfer", "mode", "clip"),
+    effort.pairs(list(GEOMETRIES), ["soft", "hard"], ["plain", *MODES], list(CLIPS)),
 )
-def test_a_picture_is_the_slow_one(where: str, transfer: str, mode: str) -> None:
+def test_a_picture_is_the_slow_one(where: str, transfer: str, mode: str, clip: str) -> None:
     geometry = GEOMETRIES[where]
     volume = cloud()
     d = None if mode == "plain" else bent(volume.shape, geometry)
@@ -208,11 +211,12 @@ def test_a_picture_is_the_slow_one(where: str, transfer: str, mode: str) -> None
         deformation=d,
         transfer=TRANSFERS[transfer],
         mode="buffered" if mode == "plain" else mode,
+        clip=CLIPS[clip],
     )
     camera = Camera(35, 20, roll=10)
     picture = scene.render(camera, SIZE)
     colours, alpha, depth = reference(scene, camera, SIZE)
-    assert (alpha > 0).sum() > 150
+    assert (alpha > 0).sum() > 80
     off = np.abs(picture.light[..., :3] - colours).max(axis=-1)
     veiled = np.abs(picture.light[..., 3] - alpha)
     # Rays that graze a surface may just miss it, or hit it; and what ends early is opaque to 0.995.
@@ -224,28 +228,6 @@ def test_a_picture_is_the_slow_one(where: str, transfer: str, mode: str) -> None
     # The surface is found to a quarter of a step, and mostly far better by the line between two values.
     away = np.abs(picture.depth[both] - depth[..., 0][both])
     assert away.max() < scene.step / 4 + 1e-6
-    assert np.quantile(away, 0.9) < scene.step / 50
-
-
-@pytest.mark.parametrize(
-    ("where", "transfer", "mode"), effort.pairs(list(GEOMETRIES), ["soft", "hard"], ["plain", *MODES])
-)
-def test_a_picture_of_a_box_is_the_slow_one(where: str, transfer: str, mode: str) -> None:
-    geometry = GEOMETRIES[where]
-    volume = cloud()
-    d = None if mode == "plain" else bent(volume.shape, geometry)
-    mode = "buffered" if mode == "plain" else mode
-    clip = ((6, 20.25), (4, 22), (5, 20)) if transfer == "hard" else ((None, None), (11.5, None), (None, 16))
-    scene = Scene(volume, geometry, deformation=d, transfer=TRANSFERS[transfer], mode=mode, clip=clip)
-    camera = Camera(35, 20, roll=10)
-    picture = scene.render(camera, SIZE)
-    colours, alpha, depth = reference(scene, camera, SIZE)
-    assert (alpha > 0).sum() > 80
-    assert np.quantile(np.abs(picture.light[..., :3] - colours).max(axis=-1), 0.97) < 0.01
-    assert np.quantile(np.abs(picture.light[..., 3] - alpha), 0.97) < 0.006
-    both = np.isfinite(depth[..., 0]) & np.isfinite(picture.depth)
-    assert (both == np.isfinite(depth[..., 0])).mean() > 0.98
-    away = np.abs(picture.depth[both] - depth[..., 0][both])
     assert np.quantile(away, 0.9) < scene.step / 50
 
 
@@ -304,26 +286,6 @@ def test_skipping_empty_bricks_changes_nothing(monkeypatch: pytest.MonkeyPatch) 
             assert a.samples.sum() < (0.7 if transfer is HARD else 1.0) * b.samples.sum()
 
 
-def test_bricks_know_their_range_and_their_distance() -> None:
-    volume = cloud((9, 14, 22))
-    for brick in (2, _core.BRICK):
-        counts = brick_counts(volume.shape, brick)
-        lows, highs = np.empty(counts, np.float32), np.empty(counts, np.float32)
-        _core.brick_ranges(volume, brick, lows, highs)
-        for at in np.ndindex(counts):
-            part = volume[tuple(slice(k * brick, k * brick + brick + 1) for k in at)]
-            assert (lows[at], highs[at]) == (part.min(), part.max())
-    seen = np.random.default_rng(1).random((7, 9, 8)) > 0.985
-    found = np.empty(seen.shape, np.uint8)
-    _core.brick_distances(seen, found)
-    places = np.argwhere(seen)
-    for at in np.ndindex(seen.shape):
-        assert found[at] == np.abs(places - at).max(axis=1).min()
-    nothing = np.empty((3, 3, 300), np.uint8)
-    _core.brick_distances(np.zeros(nothing.shape, np.bool_), nothing)
-    assert (nothing == 255).all()
-
-
 def test_exact_scenes_share_their_bricks() -> None:
     samples, geometry = cloud(), Geometry()
     first = Scene(samples, geometry, mode="exact")
@@ -354,70 +316,6 @@ def test_the_modes_show_the_same() -> None:
     np.testing.assert_array_equal(pictures["hybrid"].light, pictures["buffered"].light)
     undone = Scene(volume, geometry, transfer=HARD).render(Camera(30, 15), (96, 96))
     assert psnr(undone, pictures["exact"]) < 28
-
-
-def centre_of(picture: Rendering) -> tuple[float, float]:
-    """Where what is seen is, from the middle of the picture: to the right, and up, in parts of its size."""
-    alpha = picture.light[..., 3]
-    height, width = alpha.shape
-    x = (alpha.sum(axis=0) * np.arange(width)).sum() / alpha.sum()
-    y = (alpha.sum(axis=1) * np.arange(height)).sum() / alpha.sum()
-    return x / (width - 1) - 0.5, 0.5 - y / (height - 1)
-
-
-SIDES = {
-    # What is at the patient's left (+x), back (+y) and head (+z) is seen to the right or above.
-    "front": (Camera(0, 0), (1, 0), (0, 0), (0, 1)),
-    "left": (Camera(90, 0), (0, 0), (1, 0), (0, 1)),
-    "back": (Camera(180, 0), (-1, 0), (0, 0), (0, 1)),
-    "right": (Camera(-90, 0), (0, 0), (-1, 0), (0, 1)),
-    "above": (Camera(0, 90), (1, 0), (0, 1), (0, 0)),
-    "rolled": (Camera(0, 0, roll=90), (0, 1), (0, 0), (-1, 0)),
-}
-
-
-@pytest.mark.parametrize("side", SIDES)
-@pytest.mark.parametrize("where", GEOMETRIES)
-def test_left_is_left(where: str, side: str) -> None:
-    """In any geometry: a blob away from the middle is seen where the patient has it."""
-    geometry = GEOMETRIES[where]
-    shape = (30, 30, 30)
-    camera, *expected = SIDES[side]
-    middle = geometry.to_lps(np.array([14.5, 14.5, 14.5]))
-    for axis in range(3):
-        blob = ball(shape, geometry, middle + 6.0 * np.eye(3)[axis], 4)
-        x, y = centre_of(Scene(blob, geometry, transfer=HARD).render(camera, (64, 64)))
-        for found, want in zip((x, y), expected[axis], strict=True):
-            assert abs(found) < 0.02 if want == 0 else found * want > 0.05
-
-
-def test_voxels_need_not_be_cubes() -> None:
-    """The same ball, sampled on other grids, looks the same."""
-    camera = Camera(25, 35, distance=150, target=None)
-    pictures = []
-    for geometry, shape in (
-        (Geometry(), (49, 49, 49)),
-        (Geometry((0.5, 1.0, 1.5)), (33, 49, 97)),
-        (Geometry((1.0, 0.75, 2.0), (3.0, 4.0, 5.0), GEOMETRIES["oblique and flipped"].direction), (25, 65, 49)),
-    ):
-        middle = geometry.to_lps((np.array(shape[::-1]) - 1) / 2)
-        volume = ball(shape, geometry, middle, 15) - 0.5 * ball(shape, geometry, middle + np.array([6.0, -9.0, 8.0]), 7)
-        pictures.append(Scene(volume, geometry, transfer=HARD, step=0.5).render(camera, (80, 80)))
-    for other in pictures[1:]:
-        assert psnr(other, pictures[0]) > 30
-
-
-def test_perspective() -> None:
-    """A ball at a known distance has a known size, and its nearest point a known depth."""
-    shape, radius = (61, 61, 61), 12.0
-    volume = ball(shape, Geometry(), np.array([30.0, 30.0, 30.0]), radius)
-    for distance, angle in ((100.0, 30.0), (70.0, 50.0)):
-        camera = Camera(40, -20, distance=distance, field_of_view=angle)
-        picture = Scene(volume, transfer=HARD).render(camera, (200, 200))
-        seen = picture.light[..., 3].sum() / 200**2
-        tangent = math.tan(math.asin(radius / distance)) / math.tan(math.radians(angle / 2)) / 2
-        assert seen == pytest.approx(math.pi * tangent**2, rel=0.02)
-        assert picture.depth.min() == pytest.approx(distance - radius, abs=0.05)
 
 
 def test_opacity_is_that_of_the_way_and_not_of_the_steps() -> None:
@@ -556,15 +454,10 @@ def test_a_camera_inside() -> None:
         ({"density": (3, 1)}, "the lower one first"),
         ({"density": (1,)}, "2 numbers"),
         ({"clip": "x"}, "clip must be a range of voxels for each axis"),
-        ({"clip": ((1, 2), (1, 2))}, "clip must be a range of voxels for each axis"),
-        ({"clip": ((1, 2), (1, 2), 3)}, "clip must be a range of voxels for each axis"),
-        ({"clip": ((1, 2), (1, 2), (1, "a"))}, "clip must be numbers of voxels, found 'a'"),
         ({"clip": ((1, 2), (math.nan, 2), (1, 2))}, "clip must be numbers of voxels, found nan"),
         ({"clip": ((1, 2), (5, 3), (1, 2))}, "clip must be from a lower to a higher voxel .*, found 5:3 along y"),
-        ({"clip": ((1, 2), (1, 2), (4, 4))}, "found 4:4 along z"),
         ({"clip": ((1, 2), (7, None), (1, 2))}, "found 7:7 along y"),
         ({"clip": ((-1, 2), (1, 2), (1, 2))}, "within the voxels of the volume, 0:7, 0:7, 0:7, found -1:2 along x"),
-        ({"clip": ((0, 8), (1, 2), (1, 2))}, "found 0:8 along x"),
         ({"step": 0}, "step must be millimetres, at least 0.001"),
         ({"tolerance": -1}, "tolerance"),
         ({"geometry": 3}, "geometry must be a Geometry, found 3"),

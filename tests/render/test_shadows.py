@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,17 +11,12 @@ from scipy import ndimage
 
 import supple
 from supple import _core
-from supple.cli import command
-from supple.files.renders import RenderOptions, render_file
-from supple.media import image
-from supple.render import scene as scenes
 from supple.render import shadows
 from supple.render.appearance import lamp
 from supple.render.camera import Camera
 from supple.render.scene import Scene
 from supple.render.transfer import TransferFunction
 from supple.space.geometry import Geometry
-from tests.render.test_files import head, stored
 
 Floats = npt.NDArray[np.float64]
 
@@ -47,24 +41,6 @@ def left(volume: npt.NDArray[Any], camera: Camera = ABOVE, geometry: Geometry | 
     np.testing.assert_array_equal(plain.light[..., 3], dark.light[..., 3])
     seen = plain.light[..., 3] > 0.99
     return np.where(seen, dark.light[..., 0] / np.where(seen, plain.light[..., 0], 1), np.nan).astype(float)
-
-
-@pytest.mark.parametrize("way", WAYS)
-def test_light_in_a_fog_falls_by_the_length_of_its_way(way: tuple[float, ...]) -> None:
-    nodes, along = np.full((20, 24, 28), 0.1, np.float32), np.array(way) / np.linalg.norm(way)
-    light = shadows.light_from(along, nodes, 1.3, SPACING)
-    grid = np.stack(np.meshgrid(*(np.arange(n) for n in nodes.shape), indexing="ij")[::-1], axis=-1) * SPACING
-    ends = (np.array(nodes.shape[::-1]) - 0.5) * SPACING, -0.5 * np.array(SPACING)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        ways = np.where(along > 0, ends[0] - grid, grid - ends[1]) / abs(along)
-    axis = int(np.abs(along / SPACING).argmax())
-    wanted = 0.9 ** (ways[..., axis] / 1.3)
-    # Near the other sides, light from beyond them is mixed in.
-    start, end = (np.delete(p / SPACING, axis, axis=-1) for p in (grid, grid + ways[..., axis, None] * along))
-    last = np.delete(np.array(nodes.shape[::-1]), axis) - 6
-    far = ((start >= 5) & (start <= last) & (end >= 5) & (end <= last)).all(axis=-1)
-    assert np.ptp(wanted[far]) > 0.2
-    np.testing.assert_allclose(light[far], wanted[far], rtol=0.03)
 
 
 @pytest.mark.parametrize("way", WAYS)
@@ -97,33 +73,6 @@ def test_nodes_are_as_opaque_as_their_voxels() -> None:
             np.testing.assert_allclose(found[c, b, a], block.mean(), rtol=1e-5)
     with pytest.raises(ValueError, match="as many as there are blocks"):
         _core.block_means(volume, (4, 1, 3), table, 0.0, 1.0, np.empty((3, 9, 2), np.float32))
-
-
-def test_samples_read_the_grid_where_they_are(monkeypatch: pytest.MonkeyPatch) -> None:
-    shape = (24, 30, 28)
-    volume = ndimage.gaussian_filter(np.random.default_rng(4).normal(size=shape), 3)
-    volume = ((volume - volume.min()) / np.ptp(volume)).astype(np.float32)
-    grid = np.random.default_rng(5).random((9, 10, 11)).astype(np.float32)
-    placed = np.array([[0.7, 1.2, 0.4], [0.3, 0.25, 0.3]])
-    geometry, camera = Geometry(SPACING), Camera(35, 20)
-    scene = Scene(volume, geometry, transfer=HARD)
-    plain, view = scene.render(camera, SIZE), scene.view(camera, SIZE)
-    for light, exact in ((np.ones_like(grid), True), (grid, False)):
-        given = light, placed.astype(np.float32)
-        monkeypatch.setattr(scenes, "arriving", lambda *_, given=given: given)
-        found = scene.render(camera, SIZE)
-        if exact:
-            np.testing.assert_array_equal(found.light, plain.light)
-            continue
-        off = []
-        for y, x in np.argwhere(plain.light[..., 3] == 1)[::7]:
-            at = plain.depth[y, x] + 0.5 * scene.step
-            node = placed[0] + placed[1] * (view.eye + at * view.direction(x, y) / view.spacing)
-            wanted = ndimage.map_coordinates(light, node[::-1, None], order=1, mode="nearest")[0]
-            off.append(abs(found.light[y, x, 0] / plain.light[y, x, 0] - wanted))
-        assert len(off) > 60
-        assert np.quantile(off, 0.9) < 1e-4  # others are seen through a part of a step before
-        assert max(off) < 0.5
 
 
 def test_a_slab_casts_a_soft_shadow_on_the_floor_below() -> None:
@@ -232,43 +181,3 @@ def test_without_shadows_no_grid_is_made(monkeypatch: pytest.MonkeyPatch) -> Non
         Scene(volume, **options).render(size=(9, 9))
     with pytest.raises(AssertionError):
         Scene(volume, shadows=0.1)
-
-
-@pytest.mark.parametrize("shape", [(1, 9, 300), (2, 2, 2), (40, 3, 5)])
-def test_thin_volumes(shape: tuple[int, ...]) -> None:
-    d = supple.Deformation(shape, border=None).grab(tuple((n - 1) / 2 for n in shape[::-1]), by=(0.4, 0.3, 0), radius=3)
-    for deformation in (None, d):
-        scene = Scene(np.ones(shape, np.float32), deformation=deformation, transfer=HARD, shadows=1.0, mode="exact")
-        light = scene.render(Camera(30, 40), SIZE).light
-        assert np.isfinite(light).all()
-        assert light[..., 0].max() > 0.5
-
-
-def test_the_command_does_what_python_does(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    stored("in.nii", head())
-    for name, words in (("dark", ["--shadows", "0.8"]), ("zero", ["--shadows", "0"]), ("plain", [])):
-        assert command(["render", "in.nii", f"{name}.png", "--size", "60x50", *words]) == 0
-    render_file("in.nii", "python.png", options=RenderOptions(size=(50, 60), shadows=0.8))
-    dark, zero, plain, python = (image.read(f"{name}.png").pixels for name in ("dark", "zero", "plain", "python"))
-    np.testing.assert_array_equal(dark, python)
-    np.testing.assert_array_equal(zero, plain)
-    assert (dark.astype(int) <= plain).all()
-    assert (dark != plain).any()
-    for words, said in (
-        (["--shadows", "2"], "shadows must be a number from 0 to 1"),
-        (
-            ["--shadows", "1", "--unshaded"],
-            "silhouettes and shadows are of shaded surfaces: leave unshaded out, or them",
-        ),
-        (["--shadows", "1", "--projection", "average"], "a projection (average) is of all values along a ray"),
-        (
-            ["--unshaded", "--projection", "maximum"],
-            "a projection (maximum) is of all values along a ray, in grey: leave unshaded out",
-        ),
-    ):
-        assert command(["render", "in.nii", "out.png", *words]) != 0
-        assert said in capsys.readouterr().err
-        assert not Path("out.png").exists()

@@ -21,7 +21,6 @@ else:
     torch = pytest.importorskip("torch")
 
 import supple.torch as bending
-from supple.torch import inverse
 from tests.effort import pairs
 from tests.torch.shared import DOUBLE, picture
 
@@ -67,16 +66,6 @@ def test_values_are_those_of_fields(shape: tuple[int, ...], dtype: Any, beyond: 
     assert not made.values.requires_grad
 
 
-def test_many_points_go_part_by_part(monkeypatch: pytest.MonkeyPatch) -> None:
-    given = field(3, 2, 6, 7).requires_grad_()
-    found = []
-    for room in (1 << 20, 25 * 16):
-        monkeypatch.setattr(inverse, "_ROOM", room)
-        made = bending.invert(given, spacing=STEPS[:2], interpolation="cubic", tolerance=1e-9)
-        found += torch.autograd.grad(made.values.square().sum(), given)
-    assert torch.allclose(*found, rtol=0, atol=1e-12)
-
-
 @pytest.mark.parametrize(
     ("shape", "beyond", "interpolation"),
     pairs(
@@ -104,18 +93,6 @@ def test_gradients_of_a_field(shape: tuple[int, ...], beyond: Any, interpolation
         assert torch.autograd.gradcheck(inverted, given, atol=1e-6)
         if len(shape) == 3:
             assert torch.autograd.gradgradcheck(inverted, given, atol=1e-5)
-
-
-@pytest.mark.parametrize("interpolation", KINDS)
-def test_gradients_in_single_precision_are_as_good(interpolation: Any) -> None:
-    found = []
-    for dtype in (torch.float32, DOUBLE):
-        given = swirl(20, 24).to(dtype).requires_grad_()
-        made = bending.invert(given, interpolation=interpolation, tolerance=1e-6)
-        (made.values.square().sum() / 2).backward()
-        assert given.grad.dtype == dtype
-        found.append(given.grad.double())
-    assert (found[0] - found[1]).abs().max() < 1e-4 * found[1].abs().max()
 
 
 def test_the_field_after_its_inverse_is_the_identity() -> None:

@@ -50,7 +50,9 @@ class _Schema(BaseTransformInitSchema):
 
 
 class _Elastic(DualTransform):
-    """What both transforms share: their options, and the recipe of a draw."""
+    """What both transforms share: their options, the recipe of a draw, and what is bent by it."""
+
+    spacing: tuple[float, ...] = (1.0, 1.0)
 
     def _set(self, max_displacement: float, radius: Radius, strokes: Strokes, border: Edges, **sampling: Any) -> None:
         self._drawing = Drawing(max_displacement, radius, strokes, border)
@@ -59,16 +61,22 @@ class _Elastic(DualTransform):
         self._filter = filter_of("interpolation", self.interpolation, _FILTERS)
         choice("outside", self.outside, tuple(OUTSIDE))
 
-    def _moved(self, d: Deformation, keypoints: Array) -> Array:
+    def _drawn(self, shape: tuple[int, ...]) -> dict[str, Any]:
+        seed = int(self.random_generator.integers(SEEDS))
+        recipe = self._drawing.draw(shape, seed, spacing=spacing_of(self.spacing)).recipe.to_json()
+        return {"recipe": recipe, "extent": shape}
+
+    def _of(self, recipe: str, extent: tuple[int, ...]) -> Deformation:
+        return deformation_of(recipe, tuple(extent), spacing_of(self.spacing))
+
+    def apply_to_keypoints(self, keypoints: Array, recipe: str, extent: tuple[int, ...], **params: Any) -> Array:
+        """Return moved key points (N, 2+), or (N, 3+) in a volume; only coordinates change."""
         if not len(keypoints):
             return keypoints
+        d = self._of(recipe, extent)
         made = keypoints.astype(np.result_type(keypoints, np.float32))
         made[:, : d.ndim] = d.forward(keypoints[:, : d.ndim].astype(np.float64))
         return made
-
-    def _drawn(self, shape: tuple[int, ...], spacing: tuple[float, ...]) -> dict[str, Any]:
-        seed = int(self.random_generator.integers(SEEDS))
-        return {"recipe": self._drawing.draw(shape, seed, spacing=spacing).recipe.to_json()}
 
 
 class RandomElastic(_Elastic):
@@ -108,45 +116,34 @@ class RandomElastic(_Elastic):
 
     def get_params_dependent_on_data(self, params: dict[str, Any], data: dict[str, Any]) -> dict[str, Any]:
         """Draw a recipe for a sample."""
-        return self._drawn(tuple(params["shape"][:2]), (1.0, 1.0))
+        return self._drawn(tuple(params["shape"][:2]))
 
-    def apply(self, img: Array, recipe: str, **params: Any) -> Array:
-        """Return a bent image (H, W[, C])."""
-        return np.asarray(self._bent(img[None], recipe, params, self._filter)[0])
-
-    def apply_to_images(self, images: Array, recipe: str, **params: Any) -> Array:
+    def apply_to_images(self, images: Array, recipe: str, extent: tuple[int, ...], **params: Any) -> Array:
         """Return bent images (N, H, W[, C]), or a volume (D, H, W[, C]), all slices of which are bent alike."""
-        return self._bent(images, recipe, params, self._filter)
+        return bent_stack(self._of(recipe, extent), images, self._filter, self.outside)
 
     apply_to_volume = apply_to_images
 
-    def apply_to_mask(self, mask: Array, recipe: str, **params: Any) -> Array:
-        """Return a bent mask (H, W[, C])."""
-        return np.asarray(self._bent(mask[None], recipe, params, "nearest")[0])
+    def apply(self, img: Array, recipe: str, extent: tuple[int, ...], **params: Any) -> Array:
+        """Return a bent image (H, W[, C])."""
+        return np.asarray(self.apply_to_images(img[None], recipe, extent)[0])
 
-    def apply_to_mask3d(self, mask3d: Array, recipe: str, **params: Any) -> Array:
+    def apply_to_mask3d(self, mask3d: Array, recipe: str, extent: tuple[int, ...], **params: Any) -> Array:
         """Return a mask (D, H, W[, C]), all slices of which are bent alike."""
-        return self._bent(mask3d, recipe, params, "nearest")
+        return bent_stack(self._of(recipe, extent), mask3d, "nearest", self.outside)
 
-    def apply_to_keypoints(self, keypoints: Array, recipe: str, **params: Any) -> Array:
-        """Return moved key points (N, 2+); only x and y change."""
-        return self._moved(self._of(recipe, params), keypoints)
+    def apply_to_mask(self, mask: Array, recipe: str, extent: tuple[int, ...], **params: Any) -> Array:
+        """Return a bent mask (H, W[, C])."""
+        return np.asarray(self.apply_to_mask3d(mask[None], recipe, extent)[0])
 
-    def apply_to_bboxes(self, bboxes: Array, recipe: str, **params: Any) -> Array:
+    def apply_to_bboxes(self, bboxes: Array, recipe: str, extent: tuple[int, ...], **params: Any) -> Array:
         """Return the boxes (N, 4+) around bent boxes, in fractions of the image, as they are given."""
         if not len(bboxes):
             return bboxes
-        height, width = params["shape"][:2]
-        size = np.array((width, height, width, height), np.float64)
+        size = np.array((*extent[::-1], *extent[::-1]), np.float64)
         made = bboxes.astype(np.result_type(bboxes, np.float32))
-        made[:, :4] = edged(self._of(recipe, params), bboxes[:, :4] * size) / size
+        made[:, :4] = edged(self._of(recipe, extent), bboxes[:, :4] * size) / size
         return made
-
-    def _of(self, recipe: str, params: dict[str, Any]) -> Deformation:
-        return deformation_of(recipe, tuple(params["shape"][:2]), (1.0, 1.0))
-
-    def _bent(self, images: Array, recipe: str, params: dict[str, Any], kind: str) -> Array:
-        return bent_stack(self._of(recipe, params), images, kind, self.outside)
 
 
 class RandomElastic3D(_Elastic, Transform3D):
@@ -188,8 +185,7 @@ class RandomElastic3D(_Elastic, Transform3D):
         if volume is None:
             wanted = "given to RandomElastic3D (RandomElastic is for images)"
             refuse("volume", wanted, told=", ".join(data) or "nothing")
-        shape = tuple(volume.shape[:3])
-        return {**self._drawn(shape, spacing_of(self.spacing)), "extent": shape}
+        return self._drawn(tuple(volume.shape[:3]))
 
     def apply_to_volume(self, volume: Array, recipe: str, extent: tuple[int, ...], **params: Any) -> Array:
         """Return a bent volume (D, H, W[, C])."""
@@ -199,10 +195,3 @@ class RandomElastic3D(_Elastic, Transform3D):
     def apply_to_mask3d(self, mask3d: Array, recipe: str, extent: tuple[int, ...], **params: Any) -> Array:
         """Return a bent mask (D, H, W[, C])."""
         return np.asarray(self._of(recipe, extent).warp(mask3d, filter="nearest", outside=self.outside, alpha=False))
-
-    def apply_to_keypoints(self, keypoints: Array, recipe: str, extent: tuple[int, ...], **params: Any) -> Array:
-        """Return moved key points (N, 3+)."""
-        return self._moved(self._of(recipe, extent), keypoints)
-
-    def _of(self, recipe: str, extent: tuple[int, ...]) -> Deformation:
-        return deformation_of(recipe, tuple(extent), spacing_of(self.spacing))

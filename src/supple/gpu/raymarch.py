@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, field, fields
 from typing import Any
 
@@ -66,14 +66,9 @@ class Look:
 
 
 def march(
-    held: Held,
-    look: Look,
-    size: tuple[int, int],
-    fine: int,
-    tell: Callable[[int], None] = lambda rows: None,
-    ends: Singles | None = None,
+    held: Held, look: Look, size: tuple[int, int], fine: int, ends: Singles | None = None
 ) -> tuple[Singles, Floats, npt.NDArray[np.int64]]:
-    """Render rows and columns of rays, ``fine`` of them along the side of a pixel; ``tell`` gets the finished rows.
+    """Render rows and columns of rays, ``fine`` of them along the side of a pixel.
 
     Rays end at meshes, if there are ``ends``, (H, W, 4): linear light, and millimetres from the eye or infinity.
     Returns light and opacity (H, W, 4), the depths of the first surface and of opacity 0.9 (H, W, 2), and samples and
@@ -90,7 +85,6 @@ def march(
         light[part], work[part] = found[..., :4], found[..., 6:]
         where = found[..., 4:6].astype(np.float64)
         depth[part] = np.where(where > 1e38, np.inf, where)
-        tell(first + count)
     return light, depth, work
 
 

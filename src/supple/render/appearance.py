@@ -138,12 +138,11 @@ def without_table(samples: Array, spacing: Sequence[float]) -> tuple[Array, floa
         return samples, 0.0
     body = int(sizes[1:].argmax()) + 1
     radius = [max(1, round(_THIN / step)) for step in spacing]
-    core = itk.GetArrayFromImage(itk.BinaryErode(dense, radius, itk.sitkBox, 0, 1, True))
-    own, within = labels == body, labels
-    for axis in range(3):
-        places = np.flatnonzero(own.any(axis=tuple({0, 1, 2} - {axis})))
-        within = within.take(range(places[0], places[-1] + 1), axis=axis)
-    inner = np.bincount(within.reshape(-1), minlength=len(sizes))
+    # Of numbers 0 and 1 that is a binary erosion, and takes less than half of its time.
+    core = itk.GetArrayFromImage(itk.GrayscaleErode(dense, radius, itk.sitkBox))
+    own = labels == body
+    ends = (np.flatnonzero(own.any(axis=tuple({0, 1, 2} - {axis})))[[0, -1]] for axis in range(3))
+    inner = np.bincount(labels[tuple(slice(a, b + 1) for a, b in ends)].reshape(-1), minlength=len(sizes))
     thick = np.bincount(labels[core != 0], minlength=len(sizes)) > 0
     apart = (sizes > inner) & ~thick
     apart[[0, body]] = False

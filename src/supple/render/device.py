@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import math
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from typing import TypeVar
 
@@ -30,25 +30,14 @@ RESOLVED = 0.5
 _TWICE, _ONCE = 3.0, 1.25  # measured errors of cubics over two cells and over one, relative to the lattice's
 
 
-def tried(
-    gpu: Gpu,
-    work: Callable[[], T],
-    stacklevel: int,
-    says: str = "the CPU does what {} cannot",
-    raised: Sequence[Exception] = (),
-) -> T | None:
-    """Return the result of some work on a GPU; None, and a DeviceWarning, on failure.
-
-    An exception is raised again if a function of the user raised it, who then puts it into ``raised``.
-    """
+def tried(gpu: Gpu, work: Callable[[], T], stacklevel: int, says: str = "the CPU does what {} cannot") -> T | None:
+    """Return the result of some work on a GPU; None, and a DeviceWarning, on failure."""
     try:
         with gpu.lock:
             done = work()
         note(gpu.name)
         return done
     except failures() as error:
-        if raised:
-            raise
         failed = trouble(gpu, error)
     note(CPU)
     warnings.warn(f"{says.format(gpu.name)}: {failed}", DeviceWarning, stacklevel=stacklevel + 1)

@@ -342,7 +342,7 @@ class Scene:
         supersampling : int
             Rays along each side of a pixel, from 1 to 8: smoother outlines.
         tell : function of int
-            Called at intervals with the number of finished rows.
+            Called with the number of finished rows: at intervals, or at the end of what a GPU renders.
         """
         fine = integer("supersampling", supersampling, "a number of rays along a pixel's side, from 1 to 8", 1, 8)
         view = self.view(camera, size)
@@ -351,24 +351,15 @@ class Scene:
         ends = self._ends(look, view, fine)
         done, held = None, self._held
         if held is not None:
-            raised: list[Exception] = []
-
-            def told(rows: int) -> None:
-                try:
-                    tell(rows // fine)
-                except Exception as error:
-                    raised.append(error)
-                    raise
-
             done = tried(
                 held.volume.gpu,
-                lambda: shading.march(held, look, (height, width), fine, told, ends),
+                lambda: shading.march(held, look, (height, width), fine, ends),
                 2,
                 "the CPU did what {} could not",
-                raised,
             )
         if done is not None:
             light, depth, work = done
+            tell(size[0])
         else:
             light, depth = np.empty((height, width, 4), np.float32), np.empty((height, width, 2))
             work = np.zeros((height, width, 2), np.int64)
@@ -424,19 +415,15 @@ class Scene:
             raise SuppleError("a texture is drawn into by a GPU, and this scene has none: use render")
         fine = integer("supersampling", supersampling, "a number of rays along a pixel's side, from 1 to 8", 1, 8)
         choice("overlay", overlay, ("", "inversions"))
-        if not all(hasattr(texture, name) for name in ("format", "usage", "create_view")):
-            refuse("texture", "a texture of the GPU", type(texture).__name__)
         gpu = held.volume.gpu
-        if getattr(texture, "_device", gpu.device) is not gpu.device:
-            refuse("texture", "made by scene.gpu.device", told="one of another device")
+        if getattr(texture, "_device", None) is not gpu.device:
+            refuse("texture", "made by scene.gpu.device", told=f"{type(texture).__name__} of something else")
         width, height = texture.size[:2]
         view = self.view(camera, size or (height, width))
         rows, columns = view.size
-        if texture.format != "rgba8unorm" or rows > height or columns > width:
-            wanted = f"rgba8unorm, of {columns} x {rows} pixels or more"
+        if texture.format != "rgba8unorm" or not texture.usage & _STORAGE or rows > height or columns > width:
+            wanted = f"rgba8unorm, of usage STORAGE_BINDING and {columns} x {rows} pixels or more"
             refuse("texture", wanted, told=f"{texture.format} of {width} x {height}")
-        if not texture.usage & _STORAGE:
-            refuse("texture", "of usage STORAGE_BINDING, so that it can be drawn into", told="one without")
         colour = tuple(
             number("background", c, "three numbers from 0 to 1", 0.0, 1.0)
             for c in point("background", background, (3,))
@@ -447,13 +434,9 @@ class Scene:
         try:
             with gpu.lock:
                 size = rows * fine, columns * fine
-                worked = overlay == "inversions"
-                shading.paint(held, look, size, fine, behind, texture, worked, ends)
+                shading.paint(held, look, size, fine, behind, texture, overlay == "inversions", ends)
         except failures() as error:
-            failed = trouble(gpu, error)
-            if not gpu.lost and "Texture with" in failed and "destroyed" in failed:  # other errors are the scene's own
-                raise SuppleError("the texture was destroyed: make another one by scene.gpu.device") from None
-            raise SuppleError(f"{gpu.name} could not draw: {failed}: use render") from None
+            raise SuppleError(f"{gpu.name} could not draw: {trouble(gpu, error)}: use render") from None
 
     def fill(self, *, seconds: float = 0.004) -> float:
         """Fill a part of the buffer of a ``"hybrid"`` scene, between two images.
