@@ -355,7 +355,7 @@ def test_a_plateau_and_a_radius_in_time_are_set_in_the_panel(gpu: Gpu, clip: Pat
     hand.click(((x0 + x1) / 2, (y0 + y1) / 2))
     assert view.document.strokes[0].time_radius == pytest.approx(4.25, abs=0.5)
     assert len(view.document.steps) == 3
-    (x0, y0), (x1, y1) = boxes["##flat"]
+    (x0, y0), (x1, y1) = boxes["##plateau"]
     hand.click(((x0 + x1) / 2, (y0 + y1) / 2))
     assert view.document.strokes[0].flat == pytest.approx(0.45, abs=0.05)
     hand.click(middle(boxes, "##limited frames"))

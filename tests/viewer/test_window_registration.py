@@ -190,7 +190,7 @@ def test_what_a_registration_missed_is_pulled_by_landmarks_and_exported_as_one_f
     hand.canvas.draw()
     hand.canvas.draw()
     assert view.commands.asked.path.endswith("moving-bent.nii.gz")
-    chosen(monkeypatch, "##what", 1)
+    chosen(monkeypatch, "##write", 1)
     hand.canvas.draw()
     assert view.commands.field == "itk"
     assert view.commands.asked.path.endswith("moving-field.nii.gz")

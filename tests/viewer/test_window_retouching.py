@@ -92,7 +92,7 @@ def test_numbers_appear_once_and_a_slider_is_one_step(gpu: Gpu, places: Places) 
     for own in (False, True):
         view.own = own
         hand.canvas.draw()
-        for name in ("##radius", "##falloff", "##poisson", "##reach"):
+        for name in ("##radius", "##fall-off", "##bulge sideways", "##reach"):
             assert name in places
     x, y = places["##radius"]
     radius = view.tools.radius

@@ -12,7 +12,7 @@ from supple.errors import SuppleError
 from supple.space.straighten import FRAMES, Straighten
 from supple.viewer.panels import theme
 from supple.viewer.panels.view import View
-from supple.viewer.panels.widgets import REST, hint, label, section, toggle, typed
+from supple.viewer.panels.widgets import REST, choice, hint, label, section, toggle, typed
 from supple.viewer.tools.brushes import ImageTools
 
 _BESIDE = 0xA0101010  # over what an export leaves out
@@ -32,9 +32,7 @@ def draw(view: View) -> None:
     if "level" in tools.lacks or not section(view, "Straighten", shown=used):
         return
     known = given or Straighten()
-    label("Turn", _TURN)
-    entered, degrees = typed(view, "##turn", known.rotate, "%.2f")
-    hint(_TURN)
+    entered, degrees = typed(view, "Turn", known.rotate, "%.2f", _TURN)
     if entered:
         view.attempt(lambda: document.set_straighten(replace(known, rotate=degrees)))
     label("Keystone", _KEYSTONE)
@@ -47,11 +45,9 @@ def draw(view: View) -> None:
         imgui.same_line()
         if imgui.button("Remove", (REST, 0)):
             view.attempt(lambda: document.set_straighten(replace(known, keystone=())))
-    label("Frame", _FIT)
-    changed, index = imgui.combo("##frame of it", FRAMES.index(known.fit), list(FRAMES))
-    hint(_FIT)
+    changed, fit = choice("Frame", known.fit, {name: name for name in FRAMES}, _FIT)
     if changed:
-        view.attempt(lambda: document.set_straighten(replace(known, fit=FRAMES[index])))  # type: ignore[arg-type]
+        view.attempt(lambda: document.set_straighten(replace(known, fit=fit)))  # type: ignore[arg-type]
     imgui.begin_disabled(document.state.rest.straighten is None)
     if imgui.button("As it was"):
         view.attempt(partial(document.set_straighten, None))

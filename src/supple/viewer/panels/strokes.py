@@ -5,14 +5,14 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from functools import cache, partial
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
 from imgui_bundle import imgui
 
 from supple.deformation import Deformation
 from supple.folding.limits import NEAR
-from supple.strokes import LEAST, MOST, PAINTINGS, POISSON, REACH, FoldPolicy, Stroke, last_freeze, time_radius_of
+from supple.strokes import LEAST, MOST, PAINTINGS, POISSON, REACH, Stroke, last_freeze, time_radius_of
 from supple.strokes.stroke import MOST_FLAT
 from supple.viewer.document.keyframes import edited
 from supple.viewer.document.words import CAUSES, FALLOFFS, FOLDS, described, frozen, listed, others
@@ -23,6 +23,7 @@ from supple.viewer.panels.theme import HIDDEN, SEEN
 from supple.viewer.panels.view import View
 from supple.viewer.panels.widgets import (
     REST,
+    choice,
     hint,
     icon_button,
     label,
@@ -34,7 +35,7 @@ from supple.viewer.panels.widgets import (
     wrapped,
 )
 from supple.viewer.tools.brushes import ImageTools, VideoTools
-from supple.viewer.tools.drawing import IMMATERIAL, MASKS
+from supple.viewer.tools.drawing import IMMATERIAL, LIGHTEST, MASKS
 
 NAMES = {
     "": "None",
@@ -86,7 +87,6 @@ def legend(view: View) -> None:
             imgui.same_line()
 
 
-_POLICIES = get_args(FoldPolicy)
 _FALLOFF = "How fast the pull fades with the distance: far as 1/r, medium as 1/r\u00b3, near as 1/r\u2075"
 _BULGE = (
     "How much the surroundings make room, as rubber does: what lies ahead and behind is pushed to the sides. It is "
@@ -151,45 +151,39 @@ def _next(view: View) -> None:
             ACTIONS[name].do(view)
         imgui.end_disabled()
     if tools.brush in PAINTINGS:
-        label("Strength", "The part of the way that a click brings it")
-        changed, value = slider("##strength", 100 * tools.strength, 1.0, 100.0, "%.0f %%")
-        if changed:
-            tools.strength = min(max(value / 100, 0.01), 1.0)
+        tip = "The part of the way that a click brings it"
+        _, tools.strength = slider("Strength", tools.strength, LIGHTEST, 1.0, tip=tip)
 
 
 def _numbers(view: View, stroke: Stroke, simple: bool = False) -> dict[str, Any]:
     """Draw what strokes and the brush have in common, or the radius alone; return what was changed, by its name."""
     made: dict[str, Any] = {}
     form = "%.1f mm" if view.stage.kind == "volume" else "%.1f px"
-    label("Radius", "The size of the brush: also the wheel, [ and ], or a right drag")
+    tip = "The size of the brush: also the wheel, [ and ], or a right drag"
     low, high = view.tools.radius_limits
-    changed, value = slider("##radius", stroke.radius, low, max(high, stroke.radius), form, logarithmic=True)
+    changed, value = slider("Radius", stroke.radius, low, max(high, stroke.radius), form, tip, logarithmic=True)
     if changed:
-        made["radius"] = max(value, low)
+        made["radius"] = value
     if simple:
         return made
     grabs = stroke.brush == "grab"
     if grabs:  # the others fade in one way
-        label("Fall-off", _FALLOFF)
-        changed, index = imgui.combo("##falloff", stroke.scales - 1, list(FALLOFFS))
+        changed, scales = choice("Fall-off", stroke.scales, dict(enumerate(FALLOFFS, 1)), _FALLOFF)
         if changed:
-            made["scales"] = index + 1
+            made["scales"] = scales
     if stroke.brush not in IMMATERIAL:
-        label("Bulge sideways", _BULGE, _bulging)
         material = POISSON if stroke.poisson is None else max(stroke.poisson, -1.0)
-        changed, value = slider("##poisson", material, -1.0, 0.5, "%.2f")
-        hint(_BULGE, _bulging)
+        changed, value = slider("Bulge sideways", material, -1.0, 0.5, "%.2f", _BULGE, _bulging)
         if changed:
-            made["poisson"] = min(max(value, -1.0), 0.5)
+            made["poisson"] = value
     label("Reach", _REACH)
     changed, reach = _optional("reach", stroke.reach, REACH, "no limit", (1.0, 10.0, "%.1f radii"), _REACH)
     if changed:
         made["reach"] = reach
     if grabs and not stroke.also and stroke.reach is not None:
-        label("Plateau", _FLAT)
-        changed, value = slider("##flat", 100 * stroke.flat, 0.0, 100 * MOST_FLAT, "%.0f %%")
+        changed, value = slider("Plateau", stroke.flat, 0.0, MOST_FLAT, tip=_FLAT)
         if changed:
-            made["flat"] = min(max(value / 100, 0.0), MOST_FLAT)
+            made["flat"] = value
     if view.document.timed and not stroke.isotropic:
         label("Radius in time", _IN_TIME)
         count = view.document.shape[0]
@@ -226,13 +220,11 @@ def _pulled(poisson: float) -> list[list[list[float]]]:
 def _kind(view: View) -> None:
     """Draw the choice of what strokes of a clip are, which all those of a recipe are."""
     document = view.document
-    label("Strokes", _KIND)
     imgui.begin_disabled(bool(document.strokes))
-    changed, index = imgui.combo("##kind", int(not document.timed), ["in time", "in every frame"])
+    changed, timed = choice("Strokes", document.timed, {True: "in time", False: "in every frame"}, _KIND)
     imgui.end_disabled()
-    hint(_KIND)
     if changed:
-        view.attempt(partial(setattr, document, "timed", index == 0))
+        view.attempt(partial(setattr, document, "timed", timed))
 
 
 def _optional(
@@ -246,8 +238,7 @@ def _optional(
         imgui.text_disabled(none)
         return changed, usual if changed and own else None
     imgui.set_next_item_width(REST)
-    changed, now = slider(f"##{name}", value, *limits)
-    return changed, max(float(now), limits[0]) if changed else value
+    return slider(f"##{name}", value, *limits)
 
 
 def strokes(view: View) -> None:
@@ -328,8 +319,7 @@ def _selected(view: View, i: int) -> None:
             if axis:
                 imgui.same_line(0, gap)
             imgui.set_next_item_width(wide)
-            entered, value = typed(view, f"##{name}{axis}", values[axis], "%.1f")
-            hint(f"{said} {axes[axis]}")
+            entered, value = typed(view, f"##{name}{axis}", values[axis], "%.1f", f"{said} {axes[axis]}")
             if entered and math.isfinite(value):
                 values[axis] = value
                 changed: dict[str, Any] = {name: tuple(values)}
@@ -341,13 +331,17 @@ def _selected(view: View, i: int) -> None:
     ):
         if number is None:  # another brush's
             continue
-        label(said)
-        entered, now = typed(view, f"##{name}", number, form)
+        entered, now = typed(view, said, number, form)
         if entered:
             entries[name] = now
     if entries:
         view.attempt(lambda: document.change(i, view.tools.paired(stroke, replace(stroke, **entries))))
-    _live(view, i, own, stroke, _numbers(view, stroke) | _strength(own, stroke))
+    changes = _numbers(view, stroke)
+    tip = "How much of the stroke is applied; of an animated one, in this frame. Below 0, the opposite"
+    changed_strength, strength = slider("Strength", stroke.strength, LEAST, MOST, tip=tip)
+    if changed_strength:
+        changes["strength"] = strength
+    _live(view, i, own, stroke, changes)
     if stroke.also:
         wrapped(f"Also to drag in the picture: {others(stroke)}.")
     if view.stage.kind == "video" and not document.timed:
@@ -373,21 +367,14 @@ def _order(view: View, i: int) -> None:
     hint("Delete the stroke (Delete)")
 
 
-def _strength(stroke: Stroke, now: Stroke) -> dict[str, Any]:
-    label("Strength", "How much of the stroke is applied; of an animated one, in this frame. Below 0, the opposite")
-    changed, value = slider("##strength", 100 * now.strength, 100 * LEAST, 100 * MOST, "%.0f %%")
-    return {"strength": min(max(value / 100, LEAST), MOST)} if changed else {}
-
-
 def _amount(view: View) -> None:
     document = view.document
-    label("Amount", "How much of all strokes is applied: less takes back, below 0 they do the opposite")
-    now = document.state.rest.amount
-    changed, value = slider("##amount", 100 * now, 100 * LEAST, 100 * MOST, "%.0f %%")
+    tip = "How much of all strokes is applied: less takes back, below 0 they do the opposite"
+    changed, amount = slider("Amount", document.state.rest.amount, LEAST, MOST, tip=tip)
     if changed:
         _begin(view, None)
     if changed and document.dragging:
-        view.attempt(lambda: document.preview_rest(amount=min(max(value / 100, LEAST), MOST)))
+        view.attempt(lambda: document.preview_rest(amount=amount))
     end_drag(view)
 
 
@@ -442,11 +429,10 @@ def folds(view: View) -> None:
     if not section(view, "Folds and border"):
         return
     document = view.document
-    policy = document.state.on_fold
-    label("If it folds", "What happens where a stroke is so strong that the picture would fold over itself")
-    changed, index = imgui.combo("##folds", _POLICIES.index(policy), [FOLDS[p] for p in _POLICIES])
+    tip = "What happens where a stroke is so strong that the picture would fold over itself"
+    changed, policy = choice("If it folds", document.state.on_fold, FOLDS, tip)
     if changed:
-        view.attempt(lambda: document.set_on_fold(_POLICIES[index]))
+        view.attempt(lambda: document.set_on_fold(policy))
     border = document.state.rest.border
     label("Border", "A fixed border stays where it is; what is on a free one moves, and leaves a gap")
     changed, fixed = imgui.checkbox("fixed##border", border is not None)
@@ -461,7 +447,6 @@ def folds(view: View) -> None:
         widths = document.deformation.domain.border_widths or (1.0,)
         view.attempt(lambda: document.set_border("auto" if tenth else max(min(widths), 1.0)))
     if isinstance(border, float):
-        label("Its width")
-        entered, value = typed(view, "##border width", border, "%.1f")
+        entered, value = typed(view, "Its width", border, "%.1f")
         if entered:
             view.attempt(lambda: document.set_border(value))
