@@ -58,8 +58,8 @@ class TestEdits:
             (d.move, 0, 1),
             (d.hide, 1),
             (d.hide, 1, False),
-            (d.set_border, None),
-            (d.set_on_fold, "damp"),
+            (lambda border: d.set_rest(border=border), None),
+            (lambda on_fold: d.set_rest(on_fold=on_fold), "damp"),
             (d.remove, 0),
             (d.load, Recipe(strokes=(b, replace(a, hidden=True)))),
         ]
@@ -112,8 +112,8 @@ class TestEdits:
         d.replace(0, stroke())
         d.move(0, 0)
         d.hide(0, False)
-        d.set_border("auto")
-        d.set_on_fold("flow")
+        d.set_rest(border="auto")
+        d.set_rest(on_fold="flow")
         d.load(d.recipe)
         assert (d.can_undo, d.revision) == (False, 0)
 
@@ -183,8 +183,8 @@ class TestRefusals:
             lambda: d.move(0, 1),
             lambda: d.select(7),
             lambda: d.arrival(1),
-            lambda: d.set_border(-1),
-            lambda: d.set_on_fold("tear"),  # type: ignore[arg-type]
+            lambda: d.set_rest(border=-1),
+            lambda: d.set_rest(on_fold="tear"),  # type: ignore[arg-type]
             lambda: d.add(solid),
             lambda: d.add("stroke"),  # type: ignore[arg-type]
             lambda: d.load("recipe"),  # type: ignore[arg-type]
@@ -195,7 +195,7 @@ class TestRefusals:
         ]
         if dragging:
             d.begin_drag()
-            acts = [lambda: d.add(stroke()), lambda: d.set_border(9), lambda: d.select(0), d.begin_drag]
+            acts = [lambda: d.add(stroke()), lambda: d.set_rest(border=9), lambda: d.select(0), d.begin_drag]
         for act in acts:
             with pytest.raises(SuppleError) as caught:
                 act()
@@ -211,10 +211,10 @@ class TestRefusals:
         assert (d.state, d.revision, d.can_undo) == (before, 0, False)
         d = Document(SHAPE, recipe=Recipe(on_fold="damp", strokes=(STRONG,)))
         with pytest.raises(FoldError):
-            d.set_on_fold("error")
+            d.set_rest(on_fold="error")
         assert d.state.on_fold == "damp"
         d.hide(0)
-        d.set_on_fold("error")
+        d.set_rest(on_fold="error")
         with pytest.raises(FoldError):
             d.hide(0, False)
         assert d.strokes[0].hidden
@@ -378,17 +378,17 @@ class TestDrags:
         taken = []
         for k in range(60):
             one = Stroke(at=(960.0, 540.0), by=(0.5 * k, 0.2 * k), radius=150)
-            begun = time.perf_counter()
+            begun = time.thread_time()
             d.preview(one)
             assert len(d.deformation.strokes) == 20
-            taken.append(time.perf_counter() - begun)
+            taken.append(time.thread_time() - begun)
         assert np.median(taken) < 2e-3  # it is 0.3 ms; machines differ
 
 
 class TestRecipes:
     def test_through_a_file(self, tmp_path: Path) -> None:
         d = Document(SHAPE)
-        d.set_border(None)
+        d.set_rest(border=None)
         for k in range(4):
             d.add(stroke(40 + 20 * k, 60, 0.1 * k, 1 / 3))
         d.hide(1)
@@ -494,8 +494,8 @@ def random_edit(d: Document, rng: random.Random) -> None:
     i = rng.randrange(n) if n else None
     acts: list[Any] = [
         lambda: d.add(some),
-        lambda: d.set_border(rng.choice([None, 5, 30])),
-        lambda: d.set_on_fold(rng.choice(["damp", "flow", "error"])),  # type: ignore[arg-type]
+        lambda: d.set_rest(border=rng.choice([None, 5, 30])),
+        lambda: d.set_rest(on_fold=rng.choice(["damp", "flow", "error"])),  # type: ignore[arg-type]
         lambda: d.select(i),
         d.begin_drag,
         lambda: d.load(Recipe(strokes=(some, replace(some, hidden=True)))),

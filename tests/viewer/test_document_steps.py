@@ -34,9 +34,9 @@ def test_each_step_has_a_name() -> None:
         (lambda: d.hide(1, False), "Show stroke 2"),
         (lambda: d.move(2, 0), "Move stroke 3 earlier"),
         (lambda: d.move(0, 2), "Move stroke 1 later"),
-        (lambda: d.set_border(None), "Free the border"),
-        (lambda: d.set_border(5), "Fix the border"),
-        (lambda: d.set_on_fold("error"), "Folds"),
+        (lambda: d.set_rest(border=None), "Free the border"),
+        (lambda: d.set_rest(border=5), "Fix the border"),
+        (lambda: d.set_rest(on_fold="error"), "Folds"),
         (lambda: d.load(Recipe(strokes=(C,))), "Open a recipe"),
     ]
     for act, name in steps:

@@ -336,7 +336,7 @@ def test_no_words_lie_on_others(
 
 def test_landmarks_are_for_volumes(gpu: Gpu, tmp_path: Path) -> None:
     (tmp_path / "marks.csv").write_text("i,j,k\n1,2,3\n")
-    with pytest.raises(supple.SuppleError, match=r"^points are shown in volumes, and .*coffee.jpg is none"):
+    with pytest.raises(supple.SuppleError, match=r"^points is for files of volumes, and .*coffee.jpg is none"):
         opened(DATA / "coffee.jpg", points=tmp_path / "marks.csv")
     with pytest.raises(supple.SuppleError, match="convention is that of points, and there are none"):
         opened(DATA / "head.nii.gz", convention="RAS")

@@ -16,7 +16,7 @@ from supple.files.clips import parts_of, with_ends
 from supple.files.volumes import indexed, placed
 from supple.folding.limits import NEAR
 from supple.space.checks import integer, refuse
-from supple.space.domain import Border, Domain
+from supple.space.domain import Domain
 from supple.space.freezing import Freeze
 from supple.space.geometry import Geometry
 from supple.space.straighten import Straighten
@@ -373,13 +373,11 @@ class Document:
         i = self._checked(i)
         self._edit(self.state.with_stroke(i, replace(self.strokes[i], hidden=bool(hidden))))
 
-    def set_border(self, border: Border) -> None:
-        """Set the width of the fixed border, as in `Domain`."""
-        self._edit(replace(self.state, rest=replace(self.state.rest, border=border)))
-
-    def set_on_fold(self, on_fold: FoldPolicy) -> None:
-        """Set the policy for strokes that would fold the image."""
-        self._edit(replace(self.state, rest=replace(self.state.rest, on_fold=on_fold)))
+    def set_rest(self, **options: Any) -> None:
+        """Set other options of the recipe: ``border``, ``on_fold``, ``straighten``; that of no effect is none."""
+        if options.get("straighten") == Straighten():
+            options["straighten"] = None
+        self._edit(replace(self.state, rest=replace(self.state.rest, **options)))
 
     @property
     def frozen(self) -> Freeze | None:
@@ -418,12 +416,6 @@ class Document:
         """Show other options of the recipe, as the amount, as the current drag; as `preview` does."""
         before, _ = self._dragged()
         return self._tried(replace(before.state, rest=replace(before.state.rest, **options)))
-
-    def set_straighten(self, straighten: Straighten | None) -> None:
-        """Set how a picture is straightened; what changes nothing is none."""
-        if straighten == Straighten():
-            straighten = None
-        self._edit(replace(self.state, rest=replace(self.state.rest, straighten=straighten)))
 
     def restore(self) -> None:
         """Remove all strokes, as one step."""

@@ -6,7 +6,6 @@ import math
 from collections.abc import Callable
 from typing import Any
 
-import numpy as np
 from imgui_bundle import imgui
 
 from supple.viewer.panels import theme
@@ -95,13 +94,12 @@ def _depth(tools: VolumeTools, at: Pair, point: tuple[float, ...]) -> float:
     surface = tools.surface(at)
     if surface is None:
         return 0.0
-    near, far = (tools.stage.project(tools.view, each) for each in (surface, point))
+    near, far = (tools.stage.project(tools.view, each) for each in (surface.index, point))
     return 0.0 if near is None or far is None else max(far[2] - near[2], 0.0)
 
 
 def _way(lines: imgui.ImDrawList, start: Pair, end: Pair, colour: int) -> None:
-    lines.add_line(start, end, theme.DARK, 3.0)
-    lines.add_line(start, end, colour & 0x90FFFFFF, 1.0)
+    theme.outlined(lines, ((start, end),), colour & 0x90FFFFFF)
     lines.add_circle(start, 2.5, colour & 0x90FFFFFF, 0, 1.0)
 
 

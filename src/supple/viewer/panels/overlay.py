@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from functools import lru_cache
 from typing import Any
 
@@ -34,7 +34,6 @@ from supple.viewer.tools.volumes import VolumeTools
 _LETTERS = 0xF0FFFFFF  # ABGR
 _PLANES = (0xFF6478F0, 0xFF78C86C, 0xFF50C8E8)  # red, green and yellow, as elsewhere for these three
 _INSET = 8.0  # logical pixels from a view's edge to its text
-_GAP = 3.0  # and about a letter, where no line is
 _NAMED = 30.0  # and to the names of before and after, below that of the plane
 _BAR = (0.28, 30.0)  # the largest part of a view's width, and the least logical pixels, of a scale bar
 _DASH = 14.0  # logical pixels from one dash to the next
@@ -127,12 +126,10 @@ def _button(tools: VolumeTools, lines: imgui.ImDrawList, k: int) -> None:
     x, y, large = left + width / 2, top + height / 2, tools.sight.large is not None
     over = tools.pointer is not None and left <= tools.pointer[0] and top <= tools.pointer[1] < top + height
     colour = theme.WHITE if over and tools.active == k else theme.GREY
-    for shade, thick in ((theme.DARK, 3.5), (colour, 1.5)):
-        for a, b in ((-1, -1), (1, -1), (-1, 1), (1, 1)):
-            near, far = (2.0, 6.0) if large else (6.0, 2.0)
-            corner = x + a * near, y + b * near
-            lines.add_line(corner, (x + a * far, y + b * near), shade, thick)
-            lines.add_line(corner, (x + a * near, y + b * far), shade, thick)
+    near, far = (2.0, 6.0) if large else (6.0, 2.0)
+    for a, b in ((-1, -1), (1, -1), (-1, 1), (1, 1)):
+        corner = [(x + a * p, y + b * q) for p, q in ((far, near), (near, near), (near, far))]
+        theme.outlined_way(lines, corner, colour, 1.5)
 
 
 def _plane(view: View, tools: VolumeTools, lines: imgui.ImDrawList, k: int) -> None:
@@ -142,11 +139,9 @@ def _plane(view: View, tools: VolumeTools, lines: imgui.ImDrawList, k: int) -> N
     if tools.mask is not None and not tools.original and not fixed and pane.upright is None:
         axes, index = (pane.plane.axis, pane.plane.across, pane.plane.down), pane.index[pane.plane.axis]
         view.veil.draw(lines, tools.mask, tools.sizes, pane.to_canvas, theme.packed(view.veil_colour), axes, index)
-    sides = list(zip(pane.plane.sides, ((0, 0.5), (1, 0.5), (0.5, 0), (0.5, 1)), strict=True))
-    letters = [_letter(pane.place, side, *at) for side, at in sides]
     if not fixed and pane.upright is None:
         _cut(view, lines, pane)
-    _crosshair(tools, lines, pane, letters)
+    _crosshair(tools, lines, pane)
     if (grip := tools.grip_of(k)) is not None:
         mirror(lines, grip, top, height)
 
@@ -158,8 +153,9 @@ def _plane(view: View, tools: VolumeTools, lines: imgui.ImDrawList, k: int) -> N
     if not fixed:
         strokes(view, lines, pane.to_canvas, pane.crosses, ball)
     landmarks.draw(view, lines, pane.to_canvas, _text, pane, k)
-    for (side, _), (a, b, _, _) in zip(sides, letters, strict=True):
-        _text(lines, (a + _GAP, b + _GAP), side)
+    for side, (a, b) in zip(pane.plane.sides, ((0, 0.5), (1, 0.5), (0.5, 0), (0.5, 1)), strict=True):
+        at = left + _INSET + a * (width - 2 * _INSET), top + _INSET + b * (height - 2 * _INSET)
+        _text(lines, at, side, align=(a, b))
     axis, name = pane.plane.axis, f"{pane.plane.name}, fixed" if fixed else pane.plane.name
     _text(lines, (left + _INSET, top + _INSET), name, _PLANES[k % FIXED])
     wide = imgui.calc_text_size(name).x
@@ -172,22 +168,12 @@ def _plane(view: View, tools: VolumeTools, lines: imgui.ImDrawList, k: int) -> N
     other = compared is not None and compared.beside and tools.active % FIXED == k % FIXED and tools.active != k
     if other and tools.pointer is not None and (point := tools.hover) is not None:  # the pointer, in the other volume
         x, y = pane.to_canvas(point)
-        for shade, thick in ((theme.DARK, 3.0), (theme.WHITE, 1.0)):
-            lines.add_line((x - 6, y), (x + 6, y), shade, thick)
-            lines.add_line((x, y - 6), (x, y + 6), shade, thick)
+        theme.outlined(lines, (((x - 6, y), (x + 6, y)), ((x, y - 6), (x, y + 6))), theme.WHITE)
     if view.slices is not None and not view.slices.labels and width > _ROOMY:
         low, high = compared.window if fixed and compared is not None else tools.sight.window
         unit = view.slices.unit if view.slices.unit != "label" else ""
         said = f"W {high - low:.4g}  L {0.5 * (low + high):.4g} {unit}".rstrip()
         _text(lines, (left + width - _INSET, top + height - _INSET), said, theme.GREY, (1.0, 1.0))
-
-
-def _letter(place: Place, side: str, across: float, down: float) -> Place:
-    """Return the box of the letter of a side of a view, by its place in fractions: left, top, right and bottom."""
-    (left, top, width, height), size = place, imgui.calc_text_size(side)
-    x = round(left + _INSET + across * (width - 2 * _INSET - size.x))
-    y = round(top + _INSET + down * (height - 2 * _INSET - size.y))
-    return x - _GAP, y - _GAP, x + size.x + _GAP, y + size.y + _GAP
 
 
 def _lies(tools: VolumeTools, pane: Pane) -> str:
@@ -201,29 +187,18 @@ def _lies(tools: VolumeTools, pane: Pane) -> str:
     return f"{said}, oblique by {geometry.oblique:.2g}\u00b0" if geometry.oblique and pane.upright is None else said
 
 
-def _crosshair(tools: VolumeTools, lines: imgui.ImDrawList, pane: Pane, letters: Iterable[Place]) -> None:
-    """Draw the other two planes as lines, with gaps about the voxel where they cross, and where letters are."""
-    (left, top, width, height), (x, y) = pane.place, pane.placed(pane.index)
+def _crosshair(tools: VolumeTools, lines: imgui.ImDrawList, pane: Pane) -> None:
+    """Draw the other two planes as lines: not about the voxel where they cross, nor at the edges, where letters are."""
+    (left, top, width, height), (x, y), gap = pane.place, pane.placed(pane.index), 7.0
     normal = {plane.axis: _PLANES[k] & 0xB0FFFFFF for k, plane in enumerate(tools.planes)}
-    upright, level, gap, edge = normal[pane.plane.across], normal[pane.plane.down], 7.0, _INSET
-    wide, high = [(x - gap, x + gap)], [(y - gap, y + gap)]
-    for a, b, c, d in letters:
-        wide += [(a - edge, c + edge)] if b <= y <= d else []
-        high += [(b - edge, d + edge)] if a <= x <= c else []
-    for a, b in _between(left, left + width, wide):
-        lines.add_line((a, y), (b, y), level, 1.0)
-    for a, b in _between(top, top + height, high):
-        lines.add_line((x, a), (x, b), upright, 1.0)
-
-
-def _between(low: float, high: float, gaps: list[Pair]) -> Iterator[Pair]:
-    """Return the parts of an interval that are in no gap."""
-    for a, b in sorted(gaps):
-        if low < min(a, high):
-            yield low, min(a, high)
-        low = max(low, b)
-    if low < high:
-        yield low, high
+    inset = 2 * _INSET + max(imgui.calc_text_size(side).x for side in pane.plane.sides[:2])
+    for a, b in ((left + inset, x - gap), (max(x + gap, left + inset), left + width - inset)):
+        if a < b:
+            lines.add_line((a, y), (b, y), normal[pane.plane.down], 1.0)
+    inset = 2 * _INSET + imgui.get_text_line_height()
+    for a, b in ((top + inset, y - gap), (max(y + gap, top + inset), top + height - inset)):
+        if a < b:
+            lines.add_line((x, a), (x, b), normal[pane.plane.across], 1.0)
 
 
 def _cut(view: View, lines: imgui.ImDrawList, pane: Pane) -> None:
@@ -278,19 +253,16 @@ def strokes(
 
 def track(lines: imgui.ImDrawList, places: Iterable[Pair | None], colour: int) -> None:
     """Draw the way of a point, where it is seen."""
-    points: list[Any] = [imgui.ImVec2(*place) for place in places if place is not None]
-    for shade, thick in ((theme.DARK, 3.0), (colour, 1.5)):
-        lines.add_polyline(points, col=shade, thickness=thick, flags=imgui.ImDrawFlags_.none)
+    theme.outlined_way(lines, [place for place in places if place is not None], colour, 1.5)
 
 
 def mirror(lines: imgui.ImDrawList, grip: Pair, top: float, height: float, tilt: Pair | None = None) -> None:
     """Draw the line of symmetry, dashed, through its knobs."""
     (x, y), (a, b) = grip, tilt or (grip[0], grip[1] - 1.0)
     slope = (a - x) / (b - y)
-    for k in range(math.ceil(height / _DASH)):
-        one, other = top + k * _DASH, top + min(k * _DASH + 0.55 * _DASH, height)
-        for shade, thick in ((theme.DARK, 3.0), (theme.BLUE, 1.0)):
-            lines.add_line((x + slope * (one - y), one), (x + slope * (other - y), other), shade, thick)
+    steps = (k * _DASH for k in range(math.ceil(height / _DASH)))
+    dashes = ((top + step, top + min(step + 0.55 * _DASH, height)) for step in steps)
+    theme.outlined(lines, ([(x + slope * (end - y), end) for end in dash] for dash in dashes), theme.BLUE)
     for at in (grip, tilt):
         if at is not None:
             knob(lines, at, theme.BLUE)
@@ -307,11 +279,8 @@ def end_of(lines: imgui.ImDrawList, end: Pair, colour: int, wanted: Pair | None)
 def _rendering(view: View, tools: VolumeTools, lines: imgui.ImDrawList, place: Place) -> None:
     strokes(view, lines, tools.projected)
     if tools.sight.large is None and (at := tools.projected(tuple(map(float, tools.index)))) is not None:
-        for a, b in ((1, 0), (0, 1)):
-            for way in (-1, 1):
-                near, far = ((at[0] + way * r * a, at[1] + way * r * b) for r in (3.0, 9.0))
-                lines.add_line(near, far, theme.DARK, 3.0)
-                lines.add_line(near, far, theme.WHITE, 1.0)
+        ways = ((-1, 0), (1, 0), (0, -1), (0, 1))
+        theme.outlined(lines, ([(at[0] + r * a, at[1] + r * b) for r in (3, 9)] for a, b in ways), theme.WHITE)
     landmarks.draw(view, lines, tools.projected, _text)
     if view.computing:
         left, top, width, _ = place
@@ -327,10 +296,8 @@ def _bar(lines: imgui.ImDrawList, place: Place, scale: float) -> None:
         return
     length = rounded(most / scale)
     x, y = left + _INSET, top + height - _INSET
-    for colour, thick in ((theme.DARK, 4.0), (theme.WHITE, 2.0)):
-        lines.add_line((x, y - 2), (x + length * scale, y - 2), colour, thick)
-        for end in (x, x + length * scale):
-            lines.add_line((end, y - 6), (end, y), colour, thick)
+    end = x + length * scale
+    theme.outlined(lines, (((x, y - 2), (end, y - 2)), *(((a, y - 6), (a, y)) for a in (x, end))), theme.WHITE, 2.0)
     _text(lines, (x, y - 8), f"{length:g} mm", align=(0.0, 1.0))
 
 
@@ -583,8 +550,6 @@ def status(view: View) -> str:
         parts.append(f"{tools.view.percent:.0f} %")
     if view.refining and not document.dragging:
         parts.append(f"refining the rendering, {100 * view.filled:.0f} %")
-    elif view.busy:
-        parts.append(f"{view.rate:.0f} frames a second")
     if view.painter.coarse > 1 and tools.dragging:
         why = "no hardware GPU" if view.gpu.software else "the GPU is slow"
         parts.append(f"drawn at 1/{view.painter.coarse} while you drag: {why}")

@@ -15,7 +15,7 @@ from supple.files.options import ClipOptions
 from supple.gpu.plate import OVERLAYS
 from supple.media.transforms import CONVENTIONS
 from supple.media.volume import suffix_of
-from supple.viewer.document.background import Export
+from supple.viewer.document.background import Task
 from supple.viewer.document.files import LOSSY, Question
 from supple.viewer.document.settings import keep
 from supple.viewer.document.words import step
@@ -224,7 +224,7 @@ def _files(view: View) -> None:
     hint(f"Bend the file itself, at full quality ({action.keys})" if action.able(view) else "An array is no file")
 
 
-def _exporting(view: View, job: Export) -> None:
+def _exporting(view: View, job: Task) -> None:
     text, colour, size = f"Exporting: {job.text}", theme.TEXT, imgui.get_frame_height()
     if job.done and (job.error is not None or job.cancelled):
         text, colour = job.error or job.text, theme.WARNING

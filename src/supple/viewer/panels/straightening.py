@@ -34,7 +34,7 @@ def draw(view: View) -> None:
     known = given or Straighten()
     entered, degrees = typed(view, "Turn", known.rotate, "%.2f", _TURN)
     if entered:
-        view.attempt(lambda: document.set_straighten(replace(known, rotate=degrees)))
+        view.attempt(lambda: document.set_rest(straighten=replace(known, rotate=degrees)))
     label("Keystone", _KEYSTONE)
     wide = imgui.get_content_region_avail().x - imgui.get_style().item_spacing.x
     if toggle("Draw its frame", tools.brush == "keystone", wide * (0.6 if known.keystone else 1.0)):
@@ -44,13 +44,13 @@ def draw(view: View) -> None:
     if known.keystone:
         imgui.same_line()
         if imgui.button("Remove", (REST, 0)):
-            view.attempt(lambda: document.set_straighten(replace(known, keystone=())))
+            view.attempt(lambda: document.set_rest(straighten=replace(known, keystone=())))
     changed, fit = choice("Frame", known.fit, {name: name for name in FRAMES}, _FIT)
     if changed:
-        view.attempt(lambda: document.set_straighten(replace(known, fit=fit)))  # type: ignore[arg-type]
+        view.attempt(lambda: document.set_rest(straighten=replace(known, fit=fit)))  # type: ignore[arg-type]
     imgui.begin_disabled(document.state.rest.straighten is None)
     if imgui.button("As it was"):
-        view.attempt(partial(document.set_straighten, None))
+        view.attempt(partial(document.set_rest, straighten=None))
     imgui.end_disabled()
 
 
@@ -74,12 +74,9 @@ def overlay(view: View, tools: ImageTools, lines: imgui.ImDrawList) -> None:
         for k in range(4):
             lines.add_line(corners[k - 1], corners[k], theme.WHITE, 1.0)
     corners = [tools.view.to_canvas(*p) for p in tools.corners]
-    for k, corner in enumerate(corners):
-        for shade, thick in ((theme.DARK, 3.0), (theme.BLUE, 1.5)):
-            lines.add_line(corners[k - 1], corner, shade, thick)
+    theme.outlined(lines, ((corners[k - 1], corner) for k, corner in enumerate(corners)), theme.BLUE, 1.5)
     for corner in corners:
         lines.add_circle_filled(corner, 6.0, theme.WHITE)
         lines.add_circle(corner, 6.0, theme.BLUE, 0, 2.0)
     if tools.line is not None:
-        for shade, thick in ((theme.DARK, 3.0), (theme.BLUE, 1.5)):
-            lines.add_line(*tools.line, shade, thick)
+        theme.outlined(lines, (tools.line,), theme.BLUE, 1.5)

@@ -413,7 +413,7 @@ def _arrival(view: View, i: int) -> None:
         cause = CAUSES[arrival.cause or "border"]
         wrapped(f"Its point ends {arrival.miss:.3g} {unit} from its target: {cause}.", colour=theme.WARNING)
         if document.state.on_fold != "flow" and imgui.button("Go all the way, in small steps", (REST, 0)):
-            view.attempt(lambda: document.set_on_fold("flow"))
+            view.attempt(lambda: document.set_rest(on_fold="flow"))
         hint("No step folds; for all strokes")
     if (said := document.warning(i)) is not None and "as far as is possible" in said:
         wrapped(f"{said.partition(':')[0]}.", colour=theme.WARNING)
@@ -432,12 +432,12 @@ def folds(view: View) -> None:
     tip = "What happens where a stroke is so strong that the picture would fold over itself"
     changed, policy = choice("If it folds", document.state.on_fold, FOLDS, tip)
     if changed:
-        view.attempt(lambda: document.set_on_fold(policy))
+        view.attempt(lambda: document.set_rest(on_fold=policy))
     border = document.state.rest.border
     label("Border", "A fixed border stays where it is; what is on a free one moves, and leaves a gap")
     changed, fixed = imgui.checkbox("fixed##border", border is not None)
     if changed:
-        view.attempt(lambda: document.set_border("auto" if fixed else None))
+        view.attempt(lambda: document.set_rest(border="auto" if fixed else None))
     if border is None:
         return
     imgui.same_line()
@@ -445,8 +445,8 @@ def folds(view: View) -> None:
     hint("Strokes fade over a tenth of each side; or over a width of your own")
     if changed:
         widths = document.deformation.domain.border_widths or (1.0,)
-        view.attempt(lambda: document.set_border("auto" if tenth else max(min(widths), 1.0)))
+        view.attempt(lambda: document.set_rest(border="auto" if tenth else max(min(widths), 1.0)))
     if isinstance(border, float):
         entered, value = typed(view, "Its width", border, "%.1f")
         if entered:
-            view.attempt(lambda: document.set_border(value))
+            view.attempt(lambda: document.set_rest(border=value))

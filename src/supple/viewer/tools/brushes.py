@@ -132,7 +132,7 @@ class ImageTools(Tools[Viewport]):
             return document.dragging and document.commit()
         if line is not None and math.dist(*line) >= LEAST:
             known = document.state.rest.straighten or Straighten()
-            document.set_straighten(known.levelled(*(self.view.to_image(*end) for end in line)))
+            document.set_rest(straighten=known.levelled(*(self.view.to_image(*end) for end in line)))
         return super()._released()
 
     @property

@@ -24,6 +24,7 @@ from supple.viewer.tools.planes import FIXED, RENDERED, Pane, Sight, Upright, fi
 
 BUTTON = 22.0  # logical pixels of the button that enlarges a view, in its upper right corner
 _CUBE, _CROSS, _SLIDE, _LEVEL = "cube", "cross", "slide", "level"
+_MOST_PICKS = 500
 _SLOW = 200.0  # logical pixels of a right drag that widen the window by a factor of e, or move it by its width
 _LEFT, _RIGHT = 1, 2
 _KEYS = {"1": 0, "2": 1, "3": 2, "4": RENDERED}
@@ -56,8 +57,7 @@ class VolumeTools(Tools[Camera]):
         self.stage = orbit.Stage(document.shape, geometry, (1, 1), points)
         self.corner: Pair = (0.0, 0.0)  # the upper left corner of the rendering, on the canvas
         self._picked: Pick | None = None
-        self._surfaces: tuple[object, dict[Pair, tuple[float, ...] | None]] = None, {}
-        self._under: tuple[tuple[object, ...], Pick | None] | None = None
+        self._picks: tuple[object, dict[Pair, Pick | None]] = None, {}
         self.upright: Upright | None = None  # where planes are along the axes of the patient
         self.geometry, self.planes = geometry, planes_of(geometry)
         self.sizes = tuple(reversed(document.shape))
@@ -129,34 +129,29 @@ class VolumeTools(Tools[Camera]):
 
     @property
     def under(self) -> Pick | None:
-        """The point of the rendering under the pointer; a ray is cast after a change of pointer, camera or strokes."""
-        if self.active != RENDERED:
+        """The point of the rendering under the pointer."""
+        if self.active != RENDERED or self.pointer is None or self.side is not None:
             return None
-        key = (self.pointer, self.view, self.stage.size, self.document.revision)
-        if self._under is None or self._under[0] != key:
-            at = None if self.side is not None else self.pointer
-            self._under = key, None if at is None else self.pick(*self._within(*at))
-        return self._under[1]
+        return self.surface(self.pointer)
 
     @property
     def busy(self) -> bool:
         """Whether a button is down."""
         return self._gesture is not None
 
-    def surface(self, place: Pair) -> tuple[float, ...] | None:
-        """Return the voxel that is rendered at a position of the canvas; the last ones are kept."""
+    def surface(self, place: Pair) -> Pick | None:
+        """Return what is rendered at a position of the canvas; rays are cast once for a camera and strokes."""
         key = self.view, self.stage.size, self.document.revision
-        if self._surfaces[0] != key:
-            self._surfaces = key, {}
-        known = self._surfaces[1]
+        if self._picks[0] != key or len(self._picks[1]) > _MOST_PICKS:
+            self._picks = key, {}
+        known = self._picks[1]
         if place not in known:
-            found = self.pick(*self._within(*place))
-            known[place] = None if found is None else found.index
+            known[place] = self.pick(*self._within(*place))
         return known[place]
 
     def forget(self) -> None:
         """Cast rays again, after a change of the image."""
-        self._under, self._surfaces = None, (None, {})
+        self._picks = None, {}
 
     @property
     def cube(self) -> tuple[orbit.Face, ...]:
