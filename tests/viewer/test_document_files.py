@@ -17,9 +17,9 @@ import numpy as np
 import pytest
 
 import supple
-from supple.errors import FoldWarning, SuppleError, ToleranceWarning
+from supple.errors import FoldWarning, ToleranceWarning
 from supple.files import warp_file
-from supple.media.image import read, write
+from supple.media.image import write
 from supple.strokes import Recipe, Stroke
 from supple.viewer.document.background import Task, heard
 from supple.viewer.document.editing import Document
@@ -337,19 +337,6 @@ class TestExport:
         export = finished(begun(source, tmp_path / "b.png", Recipe(), warp=broken))
         assert (export.error, export.text, export.done) == ("RuntimeError: two lines",) * 2 + (True,)
 
-    def test_does_not_wait(self, source: Path, tmp_path: Path) -> None:
-        go = threading.Event()
-
-        def slow(*args: Any, **rest: Any) -> str:
-            go.wait(10)
-            return "made"
-
-        export = begun(source, tmp_path / "b.png", Recipe(), warp=slow)
-        assert not export.done
-        assert not export.join(0.01)
-        go.set()
-        assert finished(export).result == "made"
-
     def test_never_goes_back(self, source: Path, tmp_path: Path) -> None:
         seen: list[float] = []
 
@@ -365,25 +352,3 @@ class TestExport:
         finished(export)
         assert seen == sorted(seen)
         assert 0.5 < seen[1] < seen[-1] < 1
-
-    def test_options_are_passed_on(self, source: Path, tmp_path: Path) -> None:
-        target = tmp_path / "b.png"
-        target.write_text("there")
-        assert finished(begun(source, target, Recipe(strokes=(ONE,)))).error is not None
-        assert target.read_text() == "there"
-        assert finished(begun(source, target, Recipe(strokes=(ONE,)), force=True, filter="nearest")).error is None
-        assert read(target).pixels.shape == (40, 60, 3)
-
-
-def test_a_file_tells_how_far_it_is(source: Path, tmp_path: Path) -> None:
-    told: list[Any] = []
-    recipe = Recipe(border=None, strokes=(ONE,))
-    warp_file(source, tmp_path / "b.png", recipe, tell=lambda *step: told.append(step), progress=told.append)
-    assert told == ["read", ("read", 0, 3), "warp", ("warp", 1, 3), "write", ("write", 2, 3)]
-
-    def stop(*step: Any) -> None:
-        raise SuppleError("enough")
-
-    with pytest.raises(SuppleError, match="enough"):
-        warp_file(source, tmp_path / "c.png", recipe, tell=stop)
-    assert not (tmp_path / "c.png").exists()

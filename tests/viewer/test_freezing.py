@@ -347,25 +347,6 @@ def test_a_photograph_is_frozen_by_hand(gpu: Gpu, grey_photo: Path) -> None:
     assert np.abs(shown.astype(int) - made).max() <= 1
 
 
-def test_buttons_thaw_and_invert(gpu: Gpu, grey_photo: Path) -> None:
-    from supple.viewer.panels.actions import ACTIONS
-
-    view, hand = opened(grey_photo)
-    assert not ACTIONS["thaw all"].able(view)
-    hand.key("c")
-    hand.drag((350, 300), (400, 300))
-    made = view.recipe.freeze
-    ACTIONS["invert frozen"].do(view)
-    assert view.recipe.freeze == made.inverted
-    screen(hand)
-    ACTIONS["thaw all"].do(view)
-    assert view.recipe.freeze is None
-    assert not view.commands.message
-    for _ in range(3):
-        view.document.undo()
-    assert not view.document.can_undo
-
-
 def test_a_clip_is_shown_as_it_is_exported(gpu: Gpu, clip: Path) -> None:
     from tests.clips import decoded
     from tests.viewer.windows import wait_for

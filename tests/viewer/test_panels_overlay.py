@@ -225,18 +225,3 @@ def test_a_drag_says_how_far_it_goes(gpu: Gpu) -> None:
         hand.canvas.draw()
     assert "by +30.0 -10.0" in status(view)
     hand.release(330, 290)
-
-
-def test_the_knob_of_the_cut_is_seen_and_dragged(gpu: Gpu) -> None:
-    view, hand = opened(np.full((400, 600, 3), 40, np.uint8), Recipe(border=None))
-    hand.key("b")
-    hand.move(10, 10)
-    x, y = (round(v) for v in view.tools.knob)
-    assert (hand.canvas.draw()[y - 6, x, :3] > 200).all()
-    hand.drag((x, y), (x - 200, y))
-    assert view.tools.split == pytest.approx((x - 200) / view.area[0], abs=0.01)
-    assert view.document.strokes == ()
-    hand.move(10, 10)
-    seen = hand.canvas.draw()
-    assert (seen[y - 6, x - 200, :3] > 200).all()
-    assert (seen[y - 6, x, :3] < 100).all()

@@ -281,15 +281,6 @@ def test_what_is_folded_stays_folded(gpu: Gpu, places: Places, tmp_path: Path) -
     assert again.sections == {"Brush": False}
 
 
-def test_a_painting_has_a_strength_beside_its_radius(gpu: Gpu, places: Places) -> None:
-    view, hand = grey()
-    assert "##strength" not in places
-    hand.key("r")
-    hand.canvas.draw()
-    hand.click(places["##strength"])
-    assert view.tools.strength < 0.2
-
-
 def test_each_overlay_has_a_legend_in_its_own_colours() -> None:
     from supple.viewer.panels import strokes
 

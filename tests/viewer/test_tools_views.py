@@ -321,8 +321,3 @@ class TestPlayback:
             clip.set_loop(loop)
             clip.play()
             assert (clip.frame_at(0), clip.frame_at(5)) == (0, 0)
-
-    @pytest.mark.parametrize(("count", "rate"), [(0, 1), (1, 0), (1, float("nan")), (2.5, 1)])
-    def test_refuses(self, count: int, rate: float) -> None:
-        with pytest.raises(ValueError, match="must be a number of frames"):
-            Playback(count, rate)

@@ -348,21 +348,21 @@ def test_a_plateau_and_a_radius_in_time_are_set_in_the_panel(gpu: Gpu, clip: Pat
     view.document.select(0)
     view.own = True
     hand.canvas.draw()
-    hand.click(middle(boxes, "##limited frames"))
+    hand.click(middle(boxes, "##limited radius in time"))
     assert view.document.strokes[0].time_radius == 2.0  # of a drag of 2 frames, and 16 frames
     hand.canvas.draw()
-    (x0, y0), (x1, y1) = boxes["##frames"]
+    (x0, y0), (x1, y1) = boxes["##radius in time"]
     hand.click(((x0 + x1) / 2, (y0 + y1) / 2))
     assert view.document.strokes[0].time_radius == pytest.approx(4.25, abs=0.5)
     assert len(view.document.steps) == 3
     (x0, y0), (x1, y1) = boxes["##plateau"]
     hand.click(((x0 + x1) / 2, (y0 + y1) / 2))
     assert view.document.strokes[0].flat == pytest.approx(0.45, abs=0.05)
-    hand.click(middle(boxes, "##limited frames"))
+    hand.click(middle(boxes, "##limited radius in time"))
     assert view.document.strokes[0].time_radius is None
     view.own = False
     hand.canvas.draw()
-    hand.click(middle(boxes, "##limited frames"))
+    hand.click(middle(boxes, "##limited radius in time"))
     view.tools.flat = 0.5
     view.document.select(None)
     x, y = view.tools.view.to_canvas(200, 200)

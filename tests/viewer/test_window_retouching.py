@@ -241,20 +241,6 @@ def test_messages_are_in_the_words_of_the_window(gpu: Gpu) -> None:
     hand.release(900, 300)
 
 
-def test_a_message_is_never_cut_off(gpu: Gpu, monkeypatch: pytest.MonkeyPatch) -> None:
-    view, hand = grey()
-    drawn: list[str] = []
-    text = imgui.text_colored
-    monkeypatch.setattr(imgui, "text_colored", lambda colour, said: drawn.append(said) or text(colour, said))
-    bar: list[float] = []
-    end = imgui.end
-    monkeypatch.setattr(imgui, "end", lambda: bar.append(imgui.get_window_height()) or end())
-    view.commands.message = "it cannot be exported: " + "a long reason, " * 30
-    hand.canvas.draw()
-    assert view.commands.message in drawn[-1]
-    assert any(high > 3 * LINE for high in bar if high < SIZE[1] / 2)  # as many lines as it takes
-
-
 def test_the_first_hints_go_away_with_the_first_stroke(gpu: Gpu, tmp_path: Path) -> None:
     view, hand = grey()
     view.hinted = False

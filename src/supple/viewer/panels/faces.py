@@ -46,18 +46,19 @@ def draw(view: View) -> None:
 def _sliders(view: View, faces: tuple[Face, ...]) -> None:
     document = view.document
     if len(faces) > 1:
-        _, view.face = choice("Face", view.face, {k: str(k + 1) for k in range(len(faces))}, "The largest is the first")
+        view.face = choice("Face", view.face, {k: str(k + 1) for k in range(len(faces))}, "The largest is the first")
     known = [adjusted(stroke) for stroke in document.strokes]
     i = next((k for k, each in enumerate(known) if each is not None and each[0] == view.face + 1), None)
     percents = {} if i is None else dict((known[i] or (0, {}))[1])
     moved = False
     for name, (said, tip) in _SLIDERS.items():
-        changed, part = slider(said, percents.get(name, 0.0) / 100, -_MOST, _MOST, tip=tip)
-        if changed:
+        before = percents.get(name, 0.0) / 100
+        part = slider(said, before, -_MOST, _MOST, tip=tip)
+        if part != before:
             percents[name], moved = float(round(100 * part)), True
     if moved and not document.dragging:
-        before = document.deformation if i is None else document.below(i)
-        view.moved_face = i, _seen(faces[view.face], before)
+        below = document.deformation if i is None else document.below(i)
+        view.moved_face = i, _seen(faces[view.face], below)
         view.attempt(partial(document.begin_drag, i))
     if moved and document.dragging and view.moved_face is not None:
         place, face = view.moved_face

@@ -170,7 +170,7 @@ def _plane(view: View, tools: VolumeTools, lines: imgui.ImDrawList, k: int) -> N
         x, y = pane.to_canvas(point)
         theme.outlined(lines, (((x - 6, y), (x + 6, y)), ((x, y - 6), (x, y + 6))), theme.WHITE)
     if view.slices is not None and not view.slices.labels and width > _ROOMY:
-        low, high = compared.window if fixed and compared is not None else tools.sight.window
+        low, high = tools.sight.fixed if fixed else tools.sight.window
         unit = view.slices.unit if view.slices.unit != "label" else ""
         said = f"W {high - low:.4g}  L {0.5 * (low + high):.4g} {unit}".rstrip()
         _text(lines, (left + width - _INSET, top + height - _INSET), said, theme.GREY, (1.0, 1.0))

@@ -89,8 +89,8 @@ def _seeing(view: View) -> None:
         return
     names = ["", "inversions"] if view.stage.kind == "volume" else list(OVERLAYS)
     tip = "What the map does, and what it costs, in colours over the picture"
-    changed, overlay = choice("Overlay", view.overlay, {name: strokes.NAMES[name] for name in names}, tip)
-    if changed:
+    overlay = choice("Overlay", view.overlay, {name: strokes.NAMES[name] for name in names}, tip)
+    if overlay != view.overlay:
         view.overlay = overlay
         view.refresh()
     strokes.legend(view)
@@ -104,8 +104,8 @@ def _seeing(view: View) -> None:
     stage = view.stage
     if isinstance(stage, ImageStage):
         tip = "The view transform: how linear and HDR values are shown. An export keeps the values"
-        changed, transform = choice("Colours", stage.transform, TRANSFORMS, tip)
-        if changed:
+        transform = choice("Colours", stage.transform, TRANSFORMS, tip)
+        if transform != stage.transform:
             stage.set_transform(transform)
             view.refresh()
 
@@ -155,9 +155,8 @@ def _exports(view: View, asked: Question) -> None:
         path = _of_what(view, asked)
     suffix = suffix_of(path)
     formats = _FORMATS[kind] if commands.field is None else _OF_FIELDS.get(commands.field, (".nii.gz",))
-    tip = "The suffix of the name says the format, too"
-    changed, other = choice("Format", suffix, {name: name for name in formats}, tip)
-    if changed:
+    other = choice("Format", suffix, {name: name for name in formats}, "The suffix of the name says the format, too")
+    if other != suffix:
         asked.path = path[: len(path) - len(suffix)] + other
     if kind == "volume":
         return
@@ -165,8 +164,8 @@ def _exports(view: View, asked: Question) -> None:
         if suffix in LOSSY:
             known = int(commands.options.get("quality") or 0)
             form, tip = "%.0f" if known else "as usual", "From 1 to 100; 0 for what the format usually has"
-            changed, number = slider("Quality", known, 0, 100, form, tip)
-            if changed:
+            number = slider("Quality", known, 0, 100, form, tip)
+            if number != known:
                 commands.options = {**commands.options, "quality": round(number) or None}
         return
     clip = commands.options.get("clip") or ClipOptions()
@@ -185,27 +184,23 @@ def _exports(view: View, asked: Question) -> None:
         view.attempt(partial(view.document.set_hold, round(number)))
     if view.document.timed:
         ways: dict[Any, str] = {None: "usual"} | {name: name for name in BETWEEN}
-        changed, between = choice("Between", clip.between, ways, _BETWEEN)
-        if changed:
-            made["between"] = between
+        made["between"] = choice("Between", clip.between, ways, _BETWEEN)
         length = view.stage.spacing[2] if clip.time_scale is None else clip.time_scale
         tip = "How many pixels a frame is long, for the brush: here, only in the export"
         entered, number = typed(view, "Time scale", length, "%.2f", tip)
         if entered:
             made["time_scale"] = number if 0 < number < math.inf else None
         label("Time filter", _FILTER)
-        changed, on = imgui.checkbox("##time filter", clip.time_filter)
-        if changed:
-            made["time_filter"] = on
-    if made:
+        _, made["time_filter"] = imgui.checkbox("##time filter", clip.time_filter)
+    if replace(clip, **made) != clip:
         commands.options = {**commands.options, "clip": replace(clip, **made)}
 
 
 def _of_what(view: View, asked: Question) -> str:
     """Draw the choice between the bent volume and its field; return the name of the file."""
     commands, path = view.commands, asked.path or ""
-    changed, field = choice("Write", commands.field, _WRITTEN, _FIELD)
-    if changed:
+    field = choice("Write", commands.field, _WRITTEN, _FIELD)
+    if field != commands.field:
         commands.field = field
         stem = path.removesuffix(suffix_of(path)).removesuffix("-bent").removesuffix("-field")
         path = asked.path = f"{stem}-{'bent' if commands.field is None else 'field'}.nii.gz"

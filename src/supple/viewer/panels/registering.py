@@ -55,23 +55,24 @@ def _comparison(view: View, tools: VolumeTools, known: Comparison) -> None:
     if not section(view, "Compare"):
         return
     tip = f"{MODES[known.mode]}. X goes on to the next way"
-    changed, mode = choice("Fixed", known.mode, {name: name for name in MODES}, tip)
-    if changed:
+    mode = choice("Fixed", known.mode, {name: name for name in MODES}, tip)
+    if mode != known.mode:
         tools.compare(mode)
         view.refresh()
     if known.mode in SHARES:
         said, tip, low, high, form = SHARES[known.mode]
-        changed, value = slider(said, known.shares[known.mode], low, high, form, tip)
-        if changed:
-            known.shares[known.mode] = value
+        share = slider(said, known.shares[known.mode], low, high, form, tip)
+        if share != known.shares[known.mode]:
+            known.shares[known.mode] = share
             view.refresh()
 
 
 def _labels(view: View, known: Segmentation) -> None:
     if not section(view, "Labels", f"Labels ({len(known.labels)})"):
         return
-    changed, known.opacity = slider("Opacity", known.opacity, 0.0, 1.0, tip="Of labels over the planes; 0 for none")
-    if changed:
+    opacity = slider("Opacity", known.opacity, 0.0, 1.0, tip="Of labels over the planes; 0 for none")
+    if opacity != known.opacity:
+        known.opacity = opacity
         view.refresh()
     row = imgui.get_frame_height_with_spacing()
     listing("labels", len(known.labels), _MOST, row)

@@ -45,8 +45,8 @@ def draw(view: View) -> None:
         imgui.same_line()
         if imgui.button("Remove", (REST, 0)):
             view.attempt(lambda: document.set_rest(straighten=replace(known, keystone=())))
-    changed, fit = choice("Frame", known.fit, {name: name for name in FRAMES}, _FIT)
-    if changed:
+    fit = choice("Frame", known.fit, {name: name for name in FRAMES}, _FIT)
+    if fit != known.fit:
         view.attempt(lambda: document.set_rest(straighten=replace(known, fit=fit)))  # type: ignore[arg-type]
     imgui.begin_disabled(document.state.rest.straighten is None)
     if imgui.button("As it was"):

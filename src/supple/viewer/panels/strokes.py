@@ -152,47 +152,32 @@ def _next(view: View) -> None:
         imgui.end_disabled()
     if tools.brush in PAINTINGS:
         tip = "The part of the way that a click brings it"
-        _, tools.strength = slider("Strength", tools.strength, LIGHTEST, 1.0, tip=tip)
+        tools.strength = slider("Strength", tools.strength, LIGHTEST, 1.0, tip=tip)
 
 
 def _numbers(view: View, stroke: Stroke, simple: bool = False) -> dict[str, Any]:
     """Draw what strokes and the brush have in common, or the radius alone; return what was changed, by its name."""
-    made: dict[str, Any] = {}
-    form = "%.1f mm" if view.stage.kind == "volume" else "%.1f px"
     tip = "The size of the brush: also the wheel, [ and ], or a right drag"
-    low, high = view.tools.radius_limits
-    changed, value = slider("Radius", stroke.radius, low, max(high, stroke.radius), form, tip, logarithmic=True)
-    if changed:
-        made["radius"] = value
-    if simple:
-        return made
-    grabs = stroke.brush == "grab"
+    form, (low, high) = "%.1f mm" if view.stage.kind == "volume" else "%.1f px", view.tools.radius_limits
+    made: dict[str, Any] = {}
+    made["radius"] = slider("Radius", stroke.radius, low, max(high, stroke.radius), form, tip, logarithmic=True)
+    grabs = stroke.brush == "grab" and not simple
     if grabs:  # the others fade in one way
-        changed, scales = choice("Fall-off", stroke.scales, dict(enumerate(FALLOFFS, 1)), _FALLOFF)
-        if changed:
-            made["scales"] = scales
-    if stroke.brush not in IMMATERIAL:
+        made["scales"] = choice("Fall-off", stroke.scales, dict(enumerate(FALLOFFS, 1)), _FALLOFF)
+    if stroke.brush not in IMMATERIAL and not simple:
         material = POISSON if stroke.poisson is None else max(stroke.poisson, -1.0)
-        changed, value = slider("Bulge sideways", material, -1.0, 0.5, "%.2f", _BULGE, _bulging)
-        if changed:
-            made["poisson"] = value
-    label("Reach", _REACH)
-    changed, reach = _optional("reach", stroke.reach, REACH, "no limit", (1.0, 10.0, "%.1f radii"), _REACH)
-    if changed:
-        made["reach"] = reach
+        value = slider("Bulge sideways", material, -1.0, 0.5, "%.2f", _BULGE, _bulging)
+        made["poisson"] = stroke.poisson if value == material else value
+    if not simple:
+        made["reach"] = _optional("Reach", stroke.reach, REACH, "no limit", (1.0, 10.0, "%.1f radii"), _REACH)
     if grabs and not stroke.also and stroke.reach is not None:
-        changed, value = slider("Plateau", stroke.flat, 0.0, MOST_FLAT, tip=_FLAT)
-        if changed:
-            made["flat"] = value
-    if view.document.timed and not stroke.isotropic:
-        label("Radius in time", _IN_TIME)
+        made["flat"] = slider("Plateau", stroke.flat, 0.0, MOST_FLAT, tip=_FLAT)
+    if view.document.timed and not stroke.isotropic and not simple:
         count = view.document.shape[0]
         usual = time_radius_of(stroke, count, view.stage.spacing[2])
-        limits = (0.5, max(0.5 * count, 1.0), "%.1f frames")
-        changed, frames = _optional("frames", stroke.time_radius, usual, f"{usual:.1f} frames", limits, _IN_TIME)
-        if changed:
-            made["time_radius"] = frames
-    return made
+        limits, none = (0.5, max(0.5 * count, 1.0), "%.1f frames"), f"{usual:.1f} frames"
+        made["time_radius"] = _optional("Radius in time", stroke.time_radius, usual, none, limits, _IN_TIME)
+    return {name: value for name, value in made.items() if value != getattr(stroke, name)}
 
 
 def _bulging() -> None:
@@ -221,24 +206,25 @@ def _kind(view: View) -> None:
     """Draw the choice of what strokes of a clip are, which all those of a recipe are."""
     document = view.document
     imgui.begin_disabled(bool(document.strokes))
-    changed, timed = choice("Strokes", document.timed, {True: "in time", False: "in every frame"}, _KIND)
+    timed = choice("Strokes", document.timed, {True: "in time", False: "in every frame"}, _KIND)
     imgui.end_disabled()
-    if changed:
+    if timed != document.timed:
         view.attempt(partial(setattr, document, "timed", timed))
 
 
 def _optional(
     name: str, value: float | None, usual: float, none: str, limits: tuple[float, float, str], tip: str
-) -> tuple[bool, float | None]:
-    """Draw a switch, and the slider of a value if there is one; return whether it was changed, and the value."""
-    changed, own = imgui.checkbox(f"##limited {name}", value is not None)
+) -> float | None:
+    """Draw a switch, and the slider of a value if there is one; return the value."""
+    label(name, tip)
+    _, on = imgui.checkbox(f"##limited {name.lower()}", value is not None)
     hint(tip)
     imgui.same_line()
-    if changed or value is None:
+    if value is None or not on:
         imgui.text_disabled(none)
-        return changed, usual if changed and own else None
+        return usual if on else None
     imgui.set_next_item_width(REST)
-    return slider(f"##{name}", value, *limits)
+    return slider(f"##{name.lower()}", value, *limits)
 
 
 def strokes(view: View) -> None:
@@ -336,10 +322,10 @@ def _selected(view: View, i: int) -> None:
             entries[name] = now
     if entries:
         view.attempt(lambda: document.change(i, view.tools.paired(stroke, replace(stroke, **entries))))
-    changes = _numbers(view, stroke)
+    changes: dict[str, Any] = _numbers(view, stroke)
     tip = "How much of the stroke is applied; of an animated one, in this frame. Below 0, the opposite"
-    changed_strength, strength = slider("Strength", stroke.strength, LEAST, MOST, tip=tip)
-    if changed_strength:
+    strength = slider("Strength", stroke.strength, LEAST, MOST, tip=tip)
+    if strength != stroke.strength:
         changes["strength"] = strength
     _live(view, i, own, stroke, changes)
     if stroke.also:
@@ -370,7 +356,8 @@ def _order(view: View, i: int) -> None:
 def _amount(view: View) -> None:
     document = view.document
     tip = "How much of all strokes is applied: less takes back, below 0 they do the opposite"
-    changed, amount = slider("Amount", document.state.rest.amount, LEAST, MOST, tip=tip)
+    amount = slider("Amount", document.state.rest.amount, LEAST, MOST, tip=tip)
+    changed = amount != document.state.rest.amount
     if changed:
         _begin(view, None)
     if changed and document.dragging:
@@ -430,8 +417,8 @@ def folds(view: View) -> None:
         return
     document = view.document
     tip = "What happens where a stroke is so strong that the picture would fold over itself"
-    changed, policy = choice("If it folds", document.state.on_fold, FOLDS, tip)
-    if changed:
+    policy = choice("If it folds", document.state.on_fold, FOLDS, tip)
+    if policy != document.state.on_fold:
         view.attempt(lambda: document.set_rest(on_fold=policy))
     border = document.state.rest.border
     label("Border", "A fixed border stays where it is; what is on a free one moves, and leaves a gap")

@@ -122,12 +122,12 @@ def _labelled(name: str, tip: str, picture: Callable[[], None] | None = None) ->
     return f"##{name.lower()}"
 
 
-def choice(name: str, now: T, options: Mapping[T, str], tip: str = "") -> tuple[bool, T]:
-    """Draw a list to choose from, by values and their texts; return whether another was chosen, and which."""
+def choice(name: str, now: T, options: Mapping[T, str], tip: str = "") -> T:
+    """Draw a list to choose from, by values and their texts; return what is chosen."""
     name, values = _labelled(name, tip), list(options)
     changed, index = imgui.combo(name, values.index(now) if now in options else -1, list(options.values()))
     hint(tip)
-    return changed, values[index]
+    return values[index] if changed else now
 
 
 def slider(
@@ -140,8 +140,8 @@ def slider(
     picture: Callable[[], None] | None = None,
     *,
     logarithmic: bool = False,
-) -> tuple[bool, float]:
-    """Draw a field that is full up to its value; return whether it was changed, and the value within the limits."""
+) -> float:
+    """Draw a field that is full up to its value; return the value, which is within the limits once it is changed."""
     name, unit = _labelled(name, tip, picture), 100.0 if form == PERCENT else 1.0
     at, wide = imgui.get_cursor_screen_pos(), imgui.calc_item_width()
     place = math.log if logarithmic else float
@@ -158,7 +158,7 @@ def slider(
     changed, now = imgui.slider_float(name, unit * value, unit * low, unit * high, form, flags)
     imgui.pop_style_color(5)
     hint(tip, picture)
-    return changed, min(max(now / unit, low), high) if changed else value
+    return min(max(now / unit, low), high) if changed else value
 
 
 def listing(name: str, count: int, most: int, row: float) -> None:

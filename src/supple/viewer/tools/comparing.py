@@ -29,7 +29,7 @@ SHARES = {
 class Comparison:
     """How two volumes are compared."""
 
-    window: tuple[float, float]  # the values of the fixed one that are black and white
+    window: tuple[float, float]  # the values of the fixed one that are black and white at first
     mode: str = "beside"  # one of `MODES`
     shares: dict[str, float] = field(  # those of `SHARES`
         default_factory=lambda: {"blend": 0.5, "checkerboard": 20.0, "difference": 1.0}
@@ -43,7 +43,7 @@ class Comparison:
     @property
     def look(self) -> tuple[object, ...]:
         """All that a picture of both depends on."""
-        return self.window, self.mode, self.shares.get(self.mode)
+        return self.mode, self.shares.get(self.mode)
 
     def turn(self) -> None:
         """Go on to the next mode."""

@@ -172,6 +172,7 @@ class Sight:
 
     cross: Point  # the crosshair, in voxels, x first: planes go through the voxel that is nearest
     window: Pair  # the values that are black and white
+    fixed: Pair  # and of a fixed volume
     middle: Point  # the voxel in the middle of the views
     zoom: float = 1.0  # relative to the size at which all planes fit
     large: int | None = None  # the number of the view that has the whole canvas
@@ -199,11 +200,12 @@ class Sight:
         kept = tuple(self.middle[k] if k == axis else middle[k] for k in range(3))
         return replace(self, middle=_within(kept, pane.sizes if pane.upright is None else pane.upright.grid.sizes))
 
-    def levelled(self, wider: float, brighter: float) -> Self:
-        """Return the sight with a window wider by a factor, and brighter by a fraction of its width."""
-        low, high = self.window
+    def levelled(self, wider: float, brighter: float, *, fixed: bool = False) -> Self:
+        """Return the sight with a window, perhaps that of the fixed volume, wider and brighter by parts."""
+        low, high = self.fixed if fixed else self.window
         level, width = 0.5 * (low + high) - brighter * (high - low), (high - low) * wider
-        return replace(self, window=(level - 0.5 * width, level + 0.5 * width))
+        made = level - 0.5 * width, level + 0.5 * width
+        return replace(self, fixed=made) if fixed else replace(self, window=made)
 
 
 def _within(point: tuple[float, ...], sizes: tuple[int, ...]) -> Point:

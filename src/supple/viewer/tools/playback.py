@@ -6,8 +6,6 @@ import bisect
 import math
 from collections.abc import Sequence
 
-from supple.space.checks import LONGEST_AXIS, integer, number
-
 _EARLY = 1e-6  # of a frame: tolerance of early times, against frames that are late by a whole one
 
 
@@ -19,8 +17,7 @@ class Playback:
     """
 
     def __init__(self, count: int, rate: float, starts: Sequence[float] = ()) -> None:
-        self.count = integer("count", count, "a number of frames above 0", 1, LONGEST_AXIS)
-        self.rate = number("rate", rate, "a number of frames a second above 0", 1e-6, 1e6)
+        self.count, self.rate = count, rate
         self._starts = list(starts)
         if self._starts:  # the last one has the duration of the one before
             self._starts.append(2 * self._starts[-1] - self._starts[-2] if self.count > 1 else 1 / self.rate)

@@ -64,12 +64,11 @@ class VolumeTools(Tools[Camera]):
         self.across = self.planes[2].axis  # to the left and right of the patient
         self.middle = 0.5 * (self.sizes[self.across] - 1)
         x, y, z = ((n - 1) / 2 for n in self.sizes)
-        self.sight = self._first = Sight((x, y, z), window, (x, y, z))
+        self.sight = self._first = Sight((x, y, z), window, comparison.window if comparison else window, (x, y, z))
         self.active = RENDERED
         """The view under the pointer; during a gesture, that in which it began."""
         self.places: dict[int, Place] = {}
         self._whole, self._top, self._base = canvas_size, 0.0, self.sight
-        self._other: Pair | None = None  # the window of the fixed volume, as `_base` has that of the other
         self._arrange()
 
     def _arrange(self) -> None:
@@ -219,8 +218,6 @@ class VolumeTools(Tools[Camera]):
         """Undo the current drag; return whether there was any."""
         if self._gesture is not None:
             self.sight = self._base
-            if self.comparison is not None and self._other is not None:
-                self.comparison.window = self._other
         elif self.marking and self.marks is not None:
             self.marking = False
             self.marks.drop()
@@ -244,7 +241,6 @@ class VolumeTools(Tools[Camera]):
                 self.enlarge(self.active if self.sight.large is None else None)
                 return True
             self._base = self.sight
-            self._other = None if self.comparison is None else self.comparison.window
             if self.marking and event.get("button") == _LEFT and not shifted(event):
                 self.pointer = place
                 return self._mark()
@@ -276,11 +272,8 @@ class VolumeTools(Tools[Camera]):
         gesture.now = place
         dx, dy = (b - a for a, b in zip(gesture.start, place, strict=True))
         if gesture.how == _LEVEL:
-            how = math.exp(min(max(dx / _SLOW, -9.0), 9.0)), -dy / _SLOW
-            if self.comparison is not None and self._other is not None and self.active >= FIXED:
-                self.comparison.window = replace(self._base, window=self._other).levelled(*how).window
-            else:
-                self.sight = self._base.levelled(*how)
+            wider, brighter = math.exp(min(max(dx / _SLOW, -9.0), 9.0)), -dy / _SLOW
+            self.sight = self._base.levelled(wider, brighter, fixed=self.active >= FIXED)
         elif gesture.how == _SLIDE:
             self.sight = self._base.slid(replace(self.pane(self.active), middle=self._base.middle), dx, dy)
         else:
