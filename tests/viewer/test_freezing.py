@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 from dataclasses import replace
 from pathlib import Path
@@ -17,7 +16,7 @@ from supple.gpu.device import Gpu
 from supple.media import image as images
 from supple.space.freezing import Freeze
 from supple.strokes import Recipe, Stroke
-from supple.viewer.document.words import described, frozen, listed, step
+from supple.viewer.document.words import described, frozen, listed
 from supple.viewer.panels.overlay import status
 from supple.viewer.panels.view import TOP
 from supple.viewer.tools.gestures import Tools
@@ -43,8 +42,7 @@ def mask(tools: Tools[Any]) -> np.ndarray:
 
 
 def names(tools: Tools[Any]) -> list[str]:
-    steps = tools.document.steps
-    return [step(a, b) for a, b in itertools.pairwise(steps)]
+    return [state.made_by for state in tools.document.steps[1:]]
 
 
 def within(tools: Tools[Any], points: list[tuple[float, ...]], radius: float) -> np.ndarray:
@@ -593,7 +591,7 @@ class TestAmounts:
         assert view.document.recipe.amount == pytest.approx(0.5, abs=0.2)
         assert view.document.warning(0) is None
         assert not view.document.dragging
-        assert [step(a, b).partition(" ")[0] for a, b in itertools.pairwise(view.document.steps)] == [
+        assert [state.made_by.partition(" ")[0] for state in view.document.steps[1:]] == [
             "Strength",
             "Strength",
             "Amount",

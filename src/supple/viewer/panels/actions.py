@@ -8,7 +8,6 @@ from functools import partial
 
 from imgui_bundle import imgui
 
-from supple.viewer.document.words import step
 from supple.viewer.panels import theme
 from supple.viewer.panels.theme import ICONS
 from supple.viewer.panels.view import STRIP, TOP, WIDE, View
@@ -37,12 +36,12 @@ def _undone(view: View) -> str:
     document = view.document
     if document.dragging or not document.can_undo:
         return ""
-    return step(document.steps[document.step - 1], document.state)
+    return document.state.made_by
 
 
 def _redone(view: View) -> str:
     document = view.document
-    return step(document.state, document.steps[document.step + 1]) if document.can_redo else ""
+    return document.steps[document.step + 1].made_by if document.can_redo else ""
 
 
 def show_original(view: View, on: bool) -> None:

@@ -18,7 +18,6 @@ from supple.media.volume import suffix_of
 from supple.viewer.document.background import Task
 from supple.viewer.document.files import LOSSY, Question
 from supple.viewer.document.settings import keep
-from supple.viewer.document.words import step
 from supple.viewer.panels import faces, registering, straightening, strokes, theme, volume
 from supple.viewer.panels.actions import ACTIONS
 from supple.viewer.panels.overlay import certified
@@ -351,7 +350,7 @@ def _history(view: View) -> None:
             imgui.pop_style_color()
             hint(_MARKED if marked else _MARK)
             imgui.same_line()
-            name = "Start" if k == 0 else step(steps[k - 1], steps[k])
+            name = steps[k].made_by if k else "Start"
             imgui.push_style_color(imgui.Col_.text, theme.TEXT if k <= now else theme.FAINT)
             if imgui.selectable(f"{name}###step {k}", k == now)[0] and not document.dragging:
                 view.attempt(partial(document.go, k))
