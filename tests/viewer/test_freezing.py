@@ -506,7 +506,7 @@ def test_frames_of_a_clip_show_a_freeze_among_strokes(gpu: Gpu, clip: Path) -> N
     assert "are not shown: export has them" in timed.stage.trouble
 
 
-def test_a_freeze_in_the_list(gpu: Gpu, grey_photo: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_freeze_in_the_list(gpu: Gpu, grey_photo: Path) -> None:
     strokes = crossed((380, 560))
     view, hand = opened(grey_photo, Recipe(strokes=strokes))
     view.document.select(1)

@@ -108,7 +108,6 @@ def test_nothing_is_lost(photo: Path, gpu: Gpu, state: Path) -> None:
     assert "exists" in last.commands.asked.problem
     assert last.commands.answer("Replace")
     assert not last.document.dirty
-    last.close()
 
 
 def test_a_clip_plays_and_is_bent_in_time(gpu: Gpu, state: Path) -> None:
@@ -213,7 +212,6 @@ def test_the_first_strokes_may_be_places_in_space(gpu: Gpu, state: Path) -> None
     np.testing.assert_allclose(view.recipe.strokes[0].at, at, atol=1e-9)
     wanted = deformation_of(recipe, head, world=True)
     assert view.document.deformation.strokes == wanted.strokes
-    view.close()
 
 
 def test_a_recipe_for_another_size_is_scaled_and_told(gpu: Gpu, state: Path) -> None:
@@ -228,7 +226,6 @@ def test_a_recipe_for_another_size_is_scaled_and_told(gpu: Gpu, state: Path) -> 
     view.close()
     view, _ = opened(ramp, recipe, fit="pixels")
     assert view.recipe.strokes == recipe.strokes
-    view.close()
 
 
 def test_arrays_are_shown_too(gpu: Gpu, state: Path) -> None:

@@ -254,7 +254,6 @@ def test_the_path_of_the_selected_stroke_lies_over_the_picture(gpu: Gpu, clip: P
     assert np.abs(after[y - 3 : y + 4, x - 3 : x + 4] - before[y - 3 : y + 4, x - 3 : x + 4]).max() > 60
     x, y = (round(v) for v in view.tools.view.to_canvas(340, 170))  # midway between the two
     assert np.abs(after[y - 4 : y + 5, x - 4 : x + 5] - before[y - 4 : y + 5, x - 4 : x + 5]).max() > 60
-    view.document.mark_saved()
 
 
 def test_a_frame_that_is_drawn_again_solves_and_samples_nothing_anew(
@@ -372,9 +371,7 @@ def test_a_plateau_and_a_radius_in_time_are_set_in_the_panel(gpu: Gpu, clip: Pat
     assert view._gui.trouble == ""
 
 
-def test_the_status_says_where_an_export_samples_otherwise(
-    gpu: Gpu, clip: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_status_says_where_an_export_samples_otherwise(gpu: Gpu, clip: Path) -> None:
     from supple.files.options import ClipOptions
     from supple.viewer.panels import overlay
 

@@ -21,11 +21,6 @@ TILT = 4.0  # degrees, clockwise
 HEIGHT, WIDTH = 300, 420
 
 
-@pytest.fixture(autouse=True)
-def _state(state: Path) -> None:
-    """No window finds the strokes of another."""
-
-
 @pytest.fixture
 def tilted(tmp_path: Path) -> Path:
     """A sea below a sky, tilted about the middle."""

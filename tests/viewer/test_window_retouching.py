@@ -27,11 +27,6 @@ GREY = np.full((300, 400, 3), 128, np.uint8)
 Places = dict[str, tuple[float, float]]
 
 
-@pytest.fixture(autouse=True)
-def _own(state: Path) -> None:
-    """Each window is the first."""
-
-
 @pytest.fixture
 def places(monkeypatch: pytest.MonkeyPatch) -> Places:
     found: Places = {}

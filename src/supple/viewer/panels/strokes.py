@@ -77,14 +77,10 @@ def legend(view: View) -> None:
             lines.add_rect_filled((begin, at.y), (end, at.y + _HIGH), shade)
     else:
         lines.add_rect_filled_multi_color((at.x, at.y), (at.x + wide, at.y + _HIGH), cold, hot, hot, cold)
-    imgui.dummy((wide, _HIGH))
-    left = imgui.get_cursor_pos_x()
     for k, mark in enumerate(marks):
-        part = k / (len(marks) - 1)
-        imgui.set_cursor_pos_x(left + part * (wide - imgui.calc_text_size(mark).x))
-        imgui.text_disabled(mark)
-        if part < 1.0:
-            imgui.same_line()
+        x = at.x + k / (len(marks) - 1) * (wide - imgui.calc_text_size(mark).x)
+        lines.add_text((x, at.y + _HIGH + 4), theme.packed(theme.FAINT), mark)
+    imgui.dummy((wide, _HIGH + imgui.get_text_line_height_with_spacing()))
 
 
 _FALLOFF = "How fast the pull fades with the distance: far as 1/r, medium as 1/r\u00b3, near as 1/r\u2075"
