@@ -126,7 +126,7 @@ def test_a_checkerboard_has_squares_of_millimetres_and_a_blend_a_share() -> None
     assert [int(made[r, c, 0]) for r, c in ((0, 0), (0, 9), (0, 10), (4, 0), (5, 0), (5, 10))] == [
         100, 100, 200, 100, 200, 100,
     ]  # fmt: skip
-    made = Comparison((0, 1), "blend", {"blend": 25.0}).compared(bent, fixed, (1, 1))
+    made = Comparison((0, 1), "blend", {"blend": 0.25}).compared(bent, fixed, (1, 1))
     assert (made[..., :3] == 125).all()
     made = Comparison((0, 1), "difference", {"difference": 0.5}).compared(bent, fixed, (1, 1))
     assert (made[..., :3] == 102).all()  # 127.5 - 25
