@@ -92,7 +92,6 @@ class Hand:
         if view.stage.kind == "video":
             assert view.stage.film.wait(*view.stage.needed(view.document.deformation, view.frame), 60.0)
         view.painter.coarse = 1
-        view._frames.clear()  # how fast this script is tells nothing
         view._changed_at = 0.0
         return np.asarray(self.canvas.draw())[..., :3]
 

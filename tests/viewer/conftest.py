@@ -17,16 +17,16 @@ DATA = Path(supple.__file__).parent / "examples" / "data"
 
 @pytest.fixture(autouse=True)
 def _windows_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """No window of one test certifies on during the next, and listens to its warnings; none remembers another's."""
+    """No window of one test certifies on during the next, and listens to its warnings; none finds what another left."""
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "config"))
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
     yield
     close_all()
 
 
 @pytest.fixture
-def state(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def state(tmp_path: Path) -> Path:
     """A folder of its own for all."""
-    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
     return tmp_path
 
 

@@ -9,6 +9,7 @@ import sys
 import threading
 import time
 import warnings
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -16,13 +17,13 @@ import numpy as np
 import pytest
 
 import supple
-from supple.errors import FoldWarning, SuppleError, ToleranceWarning
+from supple.errors import FoldWarning, ToleranceWarning
 from supple.files import warp_file
-from supple.media.image import read, write
+from supple.media.image import write
 from supple.strokes import Recipe, Stroke
-from supple.viewer.document.background import Export, heard
+from supple.viewer.document.background import Task, heard
 from supple.viewer.document.editing import Document
-from supple.viewer.document.files import Autosave, found
+from supple.viewer.document.files import Autosave, found, set_aside
 from tests.clips import make
 
 ONE = Stroke(at=(20, 20), by=(3, 0.1), radius=9)
@@ -45,7 +46,6 @@ def source(tmp_path: Path) -> Path:
 
 def crash(auto: Autosave) -> None:
     """What the system does when a window dies: its lock is gone, and its file stays."""
-    auto.flush()
     if auto._lock is not None:
         auto._lock.close()
 
@@ -55,12 +55,10 @@ class TestAutosave:
         document, clock = Document((40, 60)), Clock()
         auto = Autosave(source, document, tmp_path / "state", clock)
         auto.tick()
-        auto.flush()
         assert not (tmp_path / "state").exists()  # nothing was done
         document.add(ONE)
         document.add(TWO)
         auto.tick()
-        auto.flush()
         assert found(source, tmp_path / "state") is None  # it lives
         crash(auto)
         left = found(source, tmp_path / "state")
@@ -69,7 +67,7 @@ class TestAutosave:
         assert left.same
         assert abs(left.saved - time.time()) < 60
         assert found(tmp_path / "b.png", tmp_path / "state") is None
-        left.set_aside()
+        set_aside(left.place, "kept")
         assert found(source, tmp_path / "state") is None
         assert [p.suffix for p in (tmp_path / "state").iterdir()] == [".kept"]
 
@@ -89,26 +87,21 @@ class TestAutosave:
         auto = Autosave(source, document, tmp_path, clock)
         document.add(ONE)
         auto.tick()
-        auto.flush()
         first = auto.place.read_bytes()
         document.add(TWO)
         clock.now += 0.5
         auto.tick()
-        auto.flush()
         assert auto.place.read_bytes() == first
         clock.now += 0.6
         document.begin_drag()
         auto.tick()
-        auto.flush()
         assert auto.place.read_bytes() == first
         document.abandon()
         auto.tick()
-        auto.flush()
         assert auto.place.read_bytes() != first
         inode = auto.place.stat().st_mtime_ns
         clock.now += 5
         auto.tick()  # nothing is new
-        auto.flush()
         assert auto.place.stat().st_mtime_ns == inode
         auto.clear()
 
@@ -119,7 +112,6 @@ class TestAutosave:
         auto.tick()
         document.mark_saved()
         clock.now += 2
-        auto.flush()
         auto.tick()
         crash(auto)
         assert found(source, tmp_path) is None
@@ -140,7 +132,7 @@ class TestAutosave:
         assert left.recipe == documents[0].recipe
         autos[1].clear()
         assert found(source, tmp_path) == left
-        left.set_aside()
+        set_aside(left.place, "kept")
 
     def test_the_latest_is_given_back(self, source: Path, tmp_path: Path) -> None:
         for stroke in (ONE, TWO):
@@ -152,7 +144,7 @@ class TestAutosave:
         left = found(source, tmp_path)
         assert left is not None
         assert left.recipe.strokes == (TWO,)
-        left.set_aside()
+        set_aside(left.place, "kept")
         left = found(source, tmp_path)
         assert left is not None
         assert left.recipe.strokes == (ONE,)
@@ -191,13 +183,11 @@ class TestAutosave:
         auto = Autosave(source, document, tmp_path / "state", clock)
         document.add(ONE)
         auto.tick()
-        auto.flush()
         assert auto.trouble
         assert "\n" not in auto.trouble
         (tmp_path / "state").unlink()
         clock.now += 2
         auto.tick()
-        auto.flush()
         assert auto.trouble is None
         assert json.loads(auto.place.read_text())["recipe"]["strokes"][0]["at"] == [20, 20]
         auto.clear()
@@ -206,7 +196,7 @@ class TestAutosave:
         script = (
             "import os, sys; from supple.viewer.document.files import *; from supple.strokes import Stroke\n"
             "d = Document((40, 60)); a = Autosave(sys.argv[1], d, sys.argv[2])\n"
-            "d.add(Stroke(at=(20, 20), by=(3, 0.1), radius=9)); a.tick(); a.flush(); os._exit(9)"
+            "d.add(Stroke(at=(20, 20), by=(3, 0.1), radius=9)); a.tick(); os._exit(9)"
         )
         env = {**os.environ, "PYTHONPATH": str(Path(supple.__file__).parent.parent)}
         done = subprocess.run([sys.executable, "-c", script, source, tmp_path / "state"], env=env, check=False)
@@ -269,7 +259,11 @@ class TestHeard:
         assert list(warnings.filters) == filters
 
 
-def finished(export: Export) -> Export:
+def begun(source: Path, target: Path, recipe: Recipe, *, warp: Any = warp_file, **options: Any) -> Task:
+    return Task(partial(warp, source, target, recipe, **options), target)
+
+
+def finished(export: Task) -> Task:
     assert export.join(120)
     return export
 
@@ -278,7 +272,7 @@ class TestExport:
     def test_a_picture(self, source: Path, tmp_path: Path) -> None:
         strong = Stroke(at=(30, 20), by=(40, 0), radius=5)
         recipe = Recipe(border=None, on_fold="damp", strokes=(ONE, TWO, strong))
-        export = finished(Export(source, tmp_path / "b.png", recipe))
+        export = finished(begun(source, tmp_path / "b.png", recipe))
         assert (export.error, export.progress, export.text, export.cancelled) == (None, 1, "done", False)
         assert len(export.warnings) == 2
         assert "damped" in export.warnings[0]
@@ -303,7 +297,7 @@ class TestExport:
 
         recipe = Recipe(border=None, strokes=(Stroke(at=(20, 20, 3), by=(5, 0, 1), radius=15),))
         ready = threading.Event()
-        export = Export(clip, tmp_path / "b.mkv", recipe, warp=watched)
+        export = begun(clip, tmp_path / "b.mkv", recipe, warp=watched)
         ready.set()
         finished(export)
         assert export.error is None
@@ -324,7 +318,7 @@ class TestExport:
             return warp_file(*args, tell=told, **rest)
 
         ready = threading.Event()
-        export = Export(source, tmp_path / "b.png", Recipe(border=None, strokes=(ONE,)), warp=stopped)
+        export = begun(source, tmp_path / "b.png", Recipe(border=None, strokes=(ONE,)), warp=stopped)
         ready.set()
         finished(export)
         assert (export.cancelled, export.error, export.text, export.result) == (True, None, "cancelled", None)
@@ -332,7 +326,7 @@ class TestExport:
 
     def test_fails_in_a_line(self, source: Path, tmp_path: Path) -> None:
         before = source.read_bytes()
-        export = finished(Export(source, source, Recipe(strokes=(ONE,))))
+        export = finished(begun(source, source, Recipe(strokes=(ONE,))))
         assert export.error is not None
         assert "is the picture itself" in export.error
         assert source.read_bytes() == before
@@ -340,21 +334,8 @@ class TestExport:
         def broken(*args: Any, **rest: Any) -> None:
             raise RuntimeError("two\n lines")
 
-        export = finished(Export(source, tmp_path / "b.png", Recipe(), warp=broken))
+        export = finished(begun(source, tmp_path / "b.png", Recipe(), warp=broken))
         assert (export.error, export.text, export.done) == ("RuntimeError: two lines",) * 2 + (True,)
-
-    def test_does_not_wait(self, source: Path, tmp_path: Path) -> None:
-        go = threading.Event()
-
-        def slow(*args: Any, **rest: Any) -> str:
-            go.wait(10)
-            return "made"
-
-        export = Export(source, tmp_path / "b.png", Recipe(), warp=slow)
-        assert not export.done
-        assert not export.join(0.01)
-        go.set()
-        assert finished(export).result == "made"
 
     def test_never_goes_back(self, source: Path, tmp_path: Path) -> None:
         seen: list[float] = []
@@ -366,30 +347,8 @@ class TestExport:
                 seen.append(export.progress)
 
         ready = threading.Event()
-        export = Export(source, tmp_path / "b.png", Recipe(), warp=muddled)
+        export = begun(source, tmp_path / "b.png", Recipe(), warp=muddled)
         ready.set()
         finished(export)
         assert seen == sorted(seen)
         assert 0.5 < seen[1] < seen[-1] < 1
-
-    def test_options_are_passed_on(self, source: Path, tmp_path: Path) -> None:
-        target = tmp_path / "b.png"
-        target.write_text("there")
-        assert finished(Export(source, target, Recipe(strokes=(ONE,)))).error is not None
-        assert target.read_text() == "there"
-        assert finished(Export(source, target, Recipe(strokes=(ONE,)), force=True, filter="nearest")).error is None
-        assert read(target).pixels.shape == (40, 60, 3)
-
-
-def test_a_file_tells_how_far_it_is(source: Path, tmp_path: Path) -> None:
-    told: list[Any] = []
-    recipe = Recipe(border=None, strokes=(ONE,))
-    warp_file(source, tmp_path / "b.png", recipe, tell=lambda *step: told.append(step), progress=told.append)
-    assert told == ["read", ("read", 0, 3), "warp", ("warp", 1, 3), "write", ("write", 2, 3)]
-
-    def stop(*step: Any) -> None:
-        raise SuppleError("enough")
-
-    with pytest.raises(SuppleError, match="enough"):
-        warp_file(source, tmp_path / "c.png", recipe, tell=stop)
-    assert not (tmp_path / "c.png").exists()

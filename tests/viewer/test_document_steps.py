@@ -9,8 +9,8 @@ import pytest
 
 from supple.errors import SuppleError
 from supple.strokes import Recipe, Stroke
-from supple.viewer.document.editing import Document, State
-from supple.viewer.document.words import described, done, listed, named, place, step
+from supple.viewer.document.editing import Document
+from supple.viewer.document.words import described, done, drawn, listed, named, place
 
 SHAPE = (60, 80)
 A = Stroke(at=(20, 20), by=(4, 2), radius=9)
@@ -34,17 +34,15 @@ def test_each_step_has_a_name() -> None:
         (lambda: d.hide(1, False), "Show stroke 2"),
         (lambda: d.move(2, 0), "Move stroke 3 earlier"),
         (lambda: d.move(0, 2), "Move stroke 1 later"),
-        (lambda: d.set_border(None), "Free the border"),
-        (lambda: d.set_border(5), "Fix the border"),
-        (lambda: d.set_on_fold("error"), "Folds"),
+        (lambda: d.set_rest(border=None), "Free the border"),
+        (lambda: d.set_rest(border=5), "Fix the border"),
+        (lambda: d.set_rest(on_fold="error"), "Folds"),
         (lambda: d.load(Recipe(strokes=(C,))), "Open a recipe"),
     ]
     for act, name in steps:
-        before = d.state
         act()
         if name:
-            assert step(before, d.state) == name
-            assert step(d.steps[d.step - 1], d.steps[d.step]) == name
+            assert d.state.made_by == d.steps[d.step].made_by == name
 
 
 def test_any_step_is_one_way_from_any_other() -> None:
@@ -92,7 +90,7 @@ def test_other_brushes_in_words() -> None:
     ):
         assert f"{named(brush)} at {place(brush.at)}" == name
         assert done(brush) == does
-        assert step(State(), State((brush,))) == name
+        assert drawn((brush,)) == name
         if brush.brush != "grab":
             assert described(brush, None).splitlines()[1:] == [does, "radius 9", "reach: 4 radii"]
 
@@ -108,9 +106,7 @@ def test_a_list_says_how_much() -> None:
 
 def test_strokes_that_were_drawn_at_once_are_one_step_in_words() -> None:
     some = [Stroke(at=(k, 6), by=(1, 0), radius=9, name="smooth") for k in range(3)]
-    old, new = State((A,)), State((A, *some))
-    assert step(old, new) == "Smooth at (0, 6), 3 strokes"
-    assert step(old, State((A, some[0], A))) == "Open a recipe"
+    assert drawn(some) == "Smooth at (0, 6), 3 strokes"
 
 
 def test_any_step_is_compared_with_whatever_happens_to_it() -> None:

@@ -24,7 +24,6 @@ from supple.viewer.document.keyframes import (
     with_key_here,
     without,
 )
-from supple.viewer.document.words import step
 from tests.viewer.tools import click, clip, down, drag, move, press, up, wheel
 
 PULL = Stroke(at=(100, 100), by=(10, 5), radius=30)
@@ -199,7 +198,7 @@ def test_steps_are_named() -> None:
         replace(MOVING, keys=()),
     ):
         d.replace(0, made)
-        names.append(step(d.steps[-2], d.steps[-1]))
+        names.append(d.steps[-1].made_by)
     assert names == [f"{what} of stroke 1" for what in ("Key 5", "Remove key 5", "Key 10", "Key 10", "Remove keys")]
 
 

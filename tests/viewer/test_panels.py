@@ -30,11 +30,6 @@ DEEP = (Stroke(at=(20, 60, 60), by=(3, 0, 1), radius=20),)
 CLICKED: set[tuple[bool, str]] = set()  # controls that a medium before has as well
 
 
-@pytest.fixture(autouse=True)
-def state(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
-
-
 @pytest.fixture
 def seen(monkeypatch: pytest.MonkeyPatch) -> dict[str, tuple[float, float]]:
     """Where the controls are, by their labels."""
@@ -109,8 +104,6 @@ def test_every_control_can_be_clicked(gpu: Gpu, seen: dict[str, tuple[float, flo
             assert len(view.document.strokes) == len(strokes) - 1
         elif label == "invisible_button undo":
             assert view.document.state != before
-    view.document.mark_saved()
-    view.close()
 
 
 def test_what_goes_wrong_does_not_kill_the_window(gpu: Gpu, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
@@ -127,7 +120,6 @@ def test_what_goes_wrong_does_not_kill_the_window(gpu: Gpu, monkeypatch: pytest.
         hand.drag((200 + 20 * k, 300), (220 + 20 * k, 310))
     assert view.commands.message == "ValueError: of its own"
     assert len(view.document.strokes) == 3
-    view.commands.autosave.flush()
     view.commands.autosave.keep()
     assert len(json.loads(view.commands.autosave.place.read_text())["recipe"]["strokes"]) == 3
     monkeypatch.undo()
@@ -139,7 +131,6 @@ def test_what_goes_wrong_does_not_kill_the_window(gpu: Gpu, monkeypatch: pytest.
     for _ in range(3):
         again = hand.canvas.draw()
     assert np.abs(again[:, 660:, :3].astype(int) - whole[:, 660:, :3]).mean() < 4
-    view.close()
 
 
 def test_a_window_that_is_closed_without_asking_keeps_all_of_it(gpu: Gpu) -> None:
@@ -154,8 +145,6 @@ def test_a_window_that_is_closed_without_asking_keeps_all_of_it(gpu: Gpu) -> Non
     assert len(again.recipe.strokes) == 3
     # What is restored is kept before the offer is put aside.
     assert len(json.loads(again.commands.autosave.place.read_text())["recipe"]["strokes"]) == 3
-    again.document.mark_saved()
-    again.close()
 
 
 def test_files_are_replaced_only_when_that_is_said(gpu: Gpu, tmp_path: Path) -> None:
@@ -186,7 +175,6 @@ def test_files_are_replaced_only_when_that_is_said(gpu: Gpu, tmp_path: Path) -> 
     view.commands.ask("close")
     assert view.commands.answer("Save and close")
     assert len(json.loads(mine.read_text())["strokes"]) == 2
-    view.close()
 
 
 @pytest.mark.parametrize(
@@ -261,8 +249,6 @@ def test_a_folder_that_is_here_can_be_closed(gpu: Gpu, tmp_path: Path, monkeypat
         view.commands.ask(name)
         assert str(tmp_path) in view.commands.asked.path
     view.commands.asked = None
-    view.document.mark_saved()
-    view.close()
 
 
 def test_keys_during_a_drag_wait_for_it(gpu: Gpu) -> None:
@@ -283,8 +269,6 @@ def test_keys_during_a_drag_wait_for_it(gpu: Gpu) -> None:
     hand.release(330, 310)
     assert not view.document.dragging
     view.commands.asked = None
-    view.document.mark_saved()
-    view.close()
 
 
 def test_a_press_beside_the_panel_is_not_swallowed(gpu: Gpu) -> None:
@@ -304,8 +288,6 @@ def test_a_press_beside_the_panel_is_not_swallowed(gpu: Gpu) -> None:
     assert view.tools.original
     hand.send("key_up", key="|")
     assert not view.tools.original
-    view.document.mark_saved()
-    view.close()
 
 
 def test_callbacks_hear_of_other_recipes_only(gpu: Gpu) -> None:
@@ -325,7 +307,6 @@ def test_callbacks_hear_of_other_recipes_only(gpu: Gpu) -> None:
     view.document.select(0)
     view.document.mark_saved()
     assert len(heard) == count
-    view.close()
 
 
 def test_a_recipe_of_another_medium_is_refused_in_a_sentence(gpu: Gpu, tmp_path: Path) -> None:
@@ -360,7 +341,6 @@ def test_what_is_not_kept_yet_may_wait(gpu: Gpu) -> None:
     (place,) = again.commands.autosave.place.parent.glob("*.kept")
     assert place.name in again.commands.message
     assert len(json.loads(place.read_text())["recipe"]["strokes"]) == 1
-    again.close()
 
 
 def test_what_an_export_said_is_gone_with_an_undo(gpu: Gpu, tmp_path: Path) -> None:
@@ -372,7 +352,6 @@ def test_what_an_export_said_is_gone_with_an_undo(gpu: Gpu, tmp_path: Path) -> N
     assert "out.png" in view.commands.message
     hand.key("z", "Control")
     assert view.commands.message == ""
-    view.close()
 
 
 def type_(hand: Hand, text: str) -> None:
@@ -411,7 +390,6 @@ def test_a_number_that_is_typed_counts_when_it_is_left(
     assert view.typed == {}
     view.document.undo()
     assert view.document.strokes[0].at[0] == before  # it is one step
-    view.document.mark_saved()
 
 
 def test_options_of_an_export(gpu: Gpu, seen: dict[str, tuple[float, float]], tmp_path: Path) -> None:
@@ -441,8 +419,6 @@ def test_options_of_an_export(gpu: Gpu, seen: dict[str, tuple[float, float]], tm
     assert view.commands.export.error is None
     assert video.info(tmp_path / "out.mkv")["codec"] == "ffv1"
     assert view.commands.export.result.deformation.domain.spacing[2] == 3.0
-    view.document.mark_saved()
-    view.close()
 
 
 def test_what_is_typed_before_a_question_is_not_its_answer(gpu: Gpu) -> None:
@@ -456,7 +432,6 @@ def test_what_is_typed_before_a_question_is_not_its_answer(gpu: Gpu) -> None:
     asked = view.commands.asked
     assert asked is not None
     assert asked.path == str(DATA / "coffee.recipe.json")
-    view.document.mark_saved()
 
 
 def test_opening_over_strokes_that_were_not_saved_asks(gpu: Gpu, tmp_path: Path) -> None:
@@ -491,7 +466,6 @@ def test_opening_over_strokes_that_were_not_saved_asks(gpu: Gpu, tmp_path: Path)
     view.drop([str(deep)])
     assert view.commands.asked is None
     assert "x, y, z" in view.commands.message or "3 numbers" in view.commands.message
-    view.document.mark_saved()
 
 
 def test_a_recipe_is_saved_under_another_name(gpu: Gpu, tmp_path: Path) -> None:

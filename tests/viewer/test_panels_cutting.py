@@ -120,7 +120,6 @@ def test_a_pointer_hits_the_cut_face(window: tuple[Any, Hand], places: Places) -
     start = view.document.strokes[-1].at
     assert len(view.document.strokes) == 2
     assert start[1] == pytest.approx(30, abs=1.5)
-    view.document.mark_saved()
 
 
 def test_strokes_modes_and_colours_keep_the_box(window: tuple[Any, Hand], places: Places) -> None:
@@ -140,7 +139,6 @@ def test_strokes_modes_and_colours_keep_the_box(window: tuple[Any, Hand], places
     assert frozen.clip == box
     stage.cut(None)
     assert stage.deform(view.document.deformation).clip == stage._plain.clip != box
-    view.document.mark_saved()
 
 
 def test_planes_show_the_box(window: tuple[Any, Hand], places: Places) -> None:

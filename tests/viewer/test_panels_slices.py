@@ -31,11 +31,6 @@ DATA = Path(supple.__file__).parent / "examples" / "data"
 PULL = Stroke.grab((45, 60, 50), by=(6, -12, 8), radius=25)
 
 
-@pytest.fixture(autouse=True)
-def state(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
-
-
 def plane_of(array: np.ndarray[Any, Any], axis: int, index: int) -> np.ndarray[Any, Any]:
     return np.take(array, index, axis=2 - axis)
 
@@ -78,7 +73,6 @@ def test_scaled_values_are_those_of_the_exported_volume(gpu: Gpu, tmp_path: Path
     said = status(view)
     x, y, z = (round(v) for v in view.tools.hover)
     assert f"|   {wanted[z, y, x]:.6g} HU   |" in said
-    view.document.mark_saved()
 
 
 def status(view: Any) -> str:
@@ -120,7 +114,6 @@ def test_the_canvas_shows_planes_the_way_they_are_seen(gpu: Gpu, tmp_path: Path)
     before, after = np.s_[top : top + height, left : left + width // 2 - 4], np.s_[top:, left + width // 2 + 4 :]
     assert np.abs(split[after] - seen[after]).max() <= 1
     assert np.abs(split[before] - seen[before]).mean() > 0.1
-    view.document.mark_saved()
 
 
 def test_the_anatomy_is_where_the_letters_say(gpu: Gpu) -> None:
@@ -254,7 +247,6 @@ def test_slow_planes_wait_until_the_pointer_rests(gpu: Gpu, monkeypatch: pytest.
     hand.release(x + 40, y)
     hand.canvas.draw()
     assert set(asked) == {0, 1, 2}
-    view.document.mark_saved()
 
 
 NOSE = (45.0, 96.0, 40.0)
@@ -296,7 +288,6 @@ def test_landmarks_are_shown_before_and_after(gpu: Gpu, tmp_path: Path) -> None:
     tools.sight = tools.sight.at((45, 60, 40), tools.sizes)  # far from the coronal plane
     seen = hand.canvas.draw()
     assert not marked(seen, tools.pane(1).to_canvas(tuple(after)))
-    view.document.mark_saved()
 
 
 @pytest.mark.parametrize(
@@ -336,7 +327,7 @@ def test_no_words_lie_on_others(
 
 def test_landmarks_are_for_volumes(gpu: Gpu, tmp_path: Path) -> None:
     (tmp_path / "marks.csv").write_text("i,j,k\n1,2,3\n")
-    with pytest.raises(supple.SuppleError, match=r"^points are shown in volumes, and .*coffee.jpg is none"):
+    with pytest.raises(supple.SuppleError, match=r"^points is for files of volumes, and .*coffee.jpg is none"):
         opened(DATA / "coffee.jpg", points=tmp_path / "marks.csv")
     with pytest.raises(supple.SuppleError, match="convention is that of points, and there are none"):
         opened(DATA / "head.nii.gz", convention="RAS")

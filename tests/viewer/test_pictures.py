@@ -139,10 +139,7 @@ def test_orientation(tmp_path: Path, orientation: int) -> None:
 
 
 @pytest.mark.parametrize("name", ["profile.png", "cmyk.jpg", "labs.tif", "profile_alpha16.tif", "profile_grey.png"])
-def test_a_window_shows_it_and_exports_its_values(
-    gpu: Gpu, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
-) -> None:
-    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+def test_a_window_shows_it_and_exports_its_values(gpu: Gpu, tmp_path: Path, name: str) -> None:
     pixels, kind, icc, wanted = KINDS[name]
     path = save(tmp_path / name, pixels, kind, icc)
     view, hand = opened(path)

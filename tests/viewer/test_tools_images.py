@@ -150,7 +150,7 @@ class TestImages:
     def test_clicks_select(self) -> None:
         strong = Stroke(at=(200, 100), by=(300, 0), radius=30)
         tools = image(Stroke(at=(50, 50), by=(20, 0), radius=30), strong)
-        tools.document.set_on_fold("damp")
+        tools.document.set_rest(on_fold="damp")
         end = arrived(tools, 1)
         assert end[0] < 350
         for point, chosen in [
@@ -179,7 +179,7 @@ class TestImages:
         assert tools.document.strokes[0].by == pytest.approx((30, 5))
         assert len(tools.document.strokes) == 2
         tools.document.select(1)
-        tools.document.set_on_fold("damp")
+        tools.document.set_rest(on_fold="damp")
         end = arrived(tools, 1)
         x, y = tools.view.to_canvas(*end)
         drag(tools, (x, y), (x - 4, y))

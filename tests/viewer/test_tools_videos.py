@@ -74,7 +74,7 @@ class TestVideos:
 
     def test_handles_are_where_they_are_in_time(self) -> None:
         tools = clip(Stroke(at=(50, 50, 3), by=(20, 0, 4), radius=60))
-        tools.document.set_border(None)
+        tools.document.set_rest(border=None)
         assert arrived(tools, 0) == (70, 50, 7)
         for frame, x, chosen in [(3, 50, 0), (3, 70, None), (7, 70, 0), (7, 50, None), (5, 60, None)]:
             tools.playback.seek(frame)

@@ -32,8 +32,7 @@ class Dialog:
 
 
 @pytest.fixture
-def desk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[FileCommands, list[tuple[Question, Dialog]]]:
-    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+def desk(tmp_path: Path) -> tuple[FileCommands, list[tuple[Question, Dialog]]]:
     commands = FileCommands(Document((40, 60)), tmp_path / "a.png", lambda path, force: None, lambda: None)
     opened: list[tuple[Question, Dialog]] = []
 

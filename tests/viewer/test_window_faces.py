@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 import supple
-from supple.files import faces
 from supple.files.faces import adjusted, face_stroke, faces_of
 from supple.gpu.device import Gpu
 from supple.media import image
@@ -23,12 +22,6 @@ pytest.importorskip("imgui_bundle")
 
 PORTRAIT = Path(supple.__file__).parent / "examples" / "data" / "astronaut.jpg"
 MARKS = PORTRAIT.with_suffix(".pts")
-
-
-@pytest.fixture(autouse=True)
-def _state(state: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """No window finds the strokes of another, and no face is found by itself."""
-    monkeypatch.setattr(faces, "can_find", lambda: False)
 
 
 @pytest.fixture
@@ -91,7 +84,6 @@ def test_sliders_edit_one_stroke(gpu: Gpu, tmp_path: Path, boxes: dict[str, tupl
     assert adjusted(view.document.strokes[1]) == (1, percents)
     view.document.undo()
     assert view.document.strokes == (grab,)
-    view.document.mark_saved()
 
 
 def test_a_face_of_several_is_chosen(gpu: Gpu, tmp_path: Path, boxes: dict[str, tuple[float, ...]]) -> None:
@@ -112,7 +104,6 @@ def test_a_face_of_several_is_chosen(gpu: Gpu, tmp_path: Path, boxes: dict[str, 
     (stroke,) = view.document.strokes
     assert (adjusted(stroke) or (0,))[0] == 2
     assert min(at[0] for at, by in stroke.handles if any(by)) > 512
-    view.document.mark_saved()
 
 
 def test_without_landmarks_the_section_says_so(gpu: Gpu, tmp_path: Path, boxes: dict[str, tuple[float, ...]]) -> None:

@@ -25,8 +25,7 @@ DATA = Path(supple.__file__).parent / "examples" / "data"
 
 
 @pytest.fixture
-def photo(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+def photo(tmp_path: Path) -> Path:
     image.write(tmp_path / "photo.png", np.full((300, 400, 3), 128, np.uint8))
     return tmp_path / "photo.png"
 

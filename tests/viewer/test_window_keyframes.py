@@ -254,7 +254,6 @@ def test_the_path_of_the_selected_stroke_lies_over_the_picture(gpu: Gpu, clip: P
     assert np.abs(after[y - 3 : y + 4, x - 3 : x + 4] - before[y - 3 : y + 4, x - 3 : x + 4]).max() > 60
     x, y = (round(v) for v in view.tools.view.to_canvas(340, 170))  # midway between the two
     assert np.abs(after[y - 4 : y + 5, x - 4 : x + 5] - before[y - 4 : y + 5, x - 4 : x + 5]).max() > 60
-    view.document.mark_saved()
 
 
 def test_a_frame_that_is_drawn_again_solves_and_samples_nothing_anew(
@@ -348,21 +347,21 @@ def test_a_plateau_and_a_radius_in_time_are_set_in_the_panel(gpu: Gpu, clip: Pat
     view.document.select(0)
     view.own = True
     hand.canvas.draw()
-    hand.click(middle(boxes, "##limited frames"))
+    hand.click(middle(boxes, "##limited radius in time"))
     assert view.document.strokes[0].time_radius == 2.0  # of a drag of 2 frames, and 16 frames
     hand.canvas.draw()
-    (x0, y0), (x1, y1) = boxes["##frames"]
+    (x0, y0), (x1, y1) = boxes["##radius in time"]
     hand.click(((x0 + x1) / 2, (y0 + y1) / 2))
     assert view.document.strokes[0].time_radius == pytest.approx(4.25, abs=0.5)
     assert len(view.document.steps) == 3
-    (x0, y0), (x1, y1) = boxes["##flat"]
+    (x0, y0), (x1, y1) = boxes["##plateau"]
     hand.click(((x0 + x1) / 2, (y0 + y1) / 2))
     assert view.document.strokes[0].flat == pytest.approx(0.45, abs=0.05)
-    hand.click(middle(boxes, "##limited frames"))
+    hand.click(middle(boxes, "##limited radius in time"))
     assert view.document.strokes[0].time_radius is None
     view.own = False
     hand.canvas.draw()
-    hand.click(middle(boxes, "##limited frames"))
+    hand.click(middle(boxes, "##limited radius in time"))
     view.tools.flat = 0.5
     view.document.select(None)
     x, y = view.tools.view.to_canvas(200, 200)
@@ -372,9 +371,7 @@ def test_a_plateau_and_a_radius_in_time_are_set_in_the_panel(gpu: Gpu, clip: Pat
     assert view._gui.trouble == ""
 
 
-def test_the_status_says_where_an_export_samples_otherwise(
-    gpu: Gpu, clip: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_status_says_where_an_export_samples_otherwise(gpu: Gpu, clip: Path) -> None:
     from supple.files.options import ClipOptions
     from supple.viewer.panels import overlay
 

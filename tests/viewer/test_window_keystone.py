@@ -20,11 +20,6 @@ HEIGHT, WIDTH = 300, 420
 DOOR = ((130.0, 70.0), (300.0, 95.0), (310.0, 220.0), (110.0, 245.0))
 
 
-@pytest.fixture(autouse=True)
-def _state(state: Path) -> None:
-    """No window finds the strokes of another."""
-
-
 @pytest.fixture
 def wall(tmp_path: Path) -> Path:
     """A white door in a dark wall, seen from the side."""

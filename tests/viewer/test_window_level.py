@@ -21,11 +21,6 @@ TILT = 4.0  # degrees, clockwise
 HEIGHT, WIDTH = 300, 420
 
 
-@pytest.fixture(autouse=True)
-def _state(state: Path) -> None:
-    """No window finds the strokes of another."""
-
-
 @pytest.fixture
 def tilted(tmp_path: Path) -> Path:
     """A sea below a sky, tilted about the middle."""
@@ -96,7 +91,7 @@ def test_a_short_line_and_escape_change_nothing_and_a_line_upwards_makes_it_upri
     assert view.document.steps == (view.document.state,)
     hand.drag((x, y), (x + 10, y - 100))
     assert view.document.state.rest.straighten.rotate == pytest.approx(-math.degrees(math.atan2(10, 100)), abs=0.01)
-    view.document.set_straighten(Straighten())
+    view.document.set_rest(straighten=Straighten())
     assert view.document.state.rest.straighten is None
 
 

@@ -31,11 +31,6 @@ DISPLAYS = {
 Pixels = np.ndarray[Any, np.dtype[np.uint8]]
 
 
-@pytest.fixture(autouse=True)
-def _state(state: Path) -> None:
-    """No window finds the strokes of another."""
-
-
 def upright(stored: Pixels, display: tuple[int, ...]) -> Pixels:
     """A frame as players show it, pixel by pixel."""
     y, x = np.indices(stored.shape[:2])

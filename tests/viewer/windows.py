@@ -157,8 +157,8 @@ def close_all() -> None:
     while _opened:
         view = _opened.pop()
         view.close()
-        if view.certifier._thread is not None:
-            view.certifier._thread.join(120)
+        if view.certifier.thread is not None:
+            view.certifier.thread.join(120)
 
 
 def watch(patch: pytest.MonkeyPatch, names: str, put: Callable[[str, str, Any, Any], None]) -> None:

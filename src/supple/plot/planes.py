@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -12,15 +11,13 @@ import numpy.typing as npt
 
 from supple.plot.frame import Box
 from supple.space.checks import refuse
-from supple.space.geometry import SIDES, Floats, Grid
+from supple.space.geometry import PLANES, SIDES, Floats, Grid, plane_axes
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 Ints = npt.NDArray[np.intp]
 
-# Of each plane: the axis of LPS across it, and those that lead to the right and down, with their signs.
-_PLANES = {"axial": (2, (0, 1), (1, 1)), "coronal": (1, (0, 1), (2, -1)), "sagittal": (0, (1, 1), (2, -1))}
 _WANTED = "axial, coronal or sagittal, perhaps with a place in millimetres in LPS, as axial:12.5"
 _BAR = 0.25  # of the width, at most
 _OUTLINE = "#101010"
@@ -58,8 +55,9 @@ class Plane(NamedTuple):
     def text(self) -> str:
         """The plane in words, with the place of its middle along the axis of the patient."""
         last = self.grid.sizes[self.through] - 1
-        place = _places(self.grid, self.through, _PLANES[self.name][0])[self.number]
-        side = SIDES[_PLANES[self.name][0]][int(place < 0)]
+        axis = PLANES[self.name][0][0]
+        place = _places(self.grid, self.through, axis)[self.number]
+        side = SIDES[axis][int(place < 0)]
         return f"{self.name} slice {self.number} (of 0 to {last}), at {side} {abs(place):.4g} mm"
 
     @property
@@ -84,14 +82,10 @@ def chosen(grid: Grid, text: str | None, weights: Callable[[int], Floats | Ints]
     without a plane, it is axial. SuppleError for what is neither, and for a place beyond the grid.
     """
     name, colon, at = (text or "axial").strip().lower().partition(":")
-    if name not in _PLANES:
+    if name not in PLANES:
         refuse("plane", _WANTED, text)
-    normal, right, below = _PLANES[name]
-    direction = np.array(grid.direction)
-    axes = max(itertools.permutations(range(3)), key=lambda p: math.prod(abs(direction[k, p[k]]) for k in range(3)))
-    through, across, down = axes[normal], axes[right[0]], axes[below[0]]
-    flipped = direction[right[0], across] * right[1] < 0, direction[below[0], down] * below[1] < 0
-    places = _places(grid, through, normal)
+    (through, across, down), (_, right, below) = plane_axes(grid.direction, name)
+    places = _places(grid, through, PLANES[name][0][0])
     if colon:
         try:
             wanted = float(at)
@@ -105,7 +99,7 @@ def chosen(grid: Grid, text: str | None, weights: Callable[[int], Floats | Ints]
     else:
         sums = np.zeros(1) if weights is None else weights(through)
         index = int(sums.argmax()) if sums.any() else (len(places) - 1) // 2
-    return Plane(grid, name, through, index, across, down, (bool(flipped[0]), bool(flipped[1])))
+    return Plane(grid, name, through, index, across, down, (right < 0, below < 0))
 
 
 def _places(grid: Grid, through: int, axis: int) -> Floats:

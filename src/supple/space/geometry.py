@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from itertools import product
+from itertools import permutations, product
 from typing import Any, Self
 
 import numpy as np
@@ -33,10 +33,24 @@ Box = tuple[Floats, Floats]
 CONVENTIONS = ("LPS", "RAS", "array")
 SIDES = (("L", "R"), ("P", "A"), ("S", "I"))
 """The sides of a patient at the positive and at the negative end of each axis of LPS."""
+PLANES = {
+    "axial": ((2, 1), (0, 1), (1, 1)),
+    "coronal": ((1, -1), (0, 1), (2, -1)),
+    "sagittal": ((0, 1), (1, 1), (2, -1)),
+}
+"""Planes of a patient as radiologists see them: the axes of LPS, with signs, to the next slice, right and down."""
 _FLIP = np.array([-1.0, -1.0, 1.0])
 _ROUNDED = 1e-3  # in cosines and squares of lengths: what headers round
 _FLAT = 0.1  # the volume of the axes' directions: below it, they nearly lie in a plane
 _SPARE = 1e-4  # samples: what headers of float32 add to the extent of thousands
+
+
+def plane_axes(direction: npt.ArrayLike, name: str) -> tuple[tuple[int, ...], tuple[int, ...]]:
+    """Return the axes of a grid that are nearest to those of one of `PLANES`, and 1 or -1 as they lead the same way."""
+    turned = np.array(direction)
+    order = max(permutations(range(3)), key=lambda axes: math.prod(abs(turned[k, axes[k]]) for k in range(3)))
+    ways = PLANES[name]
+    return tuple(order[k] for k, _ in ways), tuple(way if turned[k, order[k]] >= 0 else -way for k, way in ways)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

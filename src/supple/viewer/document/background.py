@@ -1,4 +1,4 @@
-"""Exports and certified errors, computed in background threads, and the warnings of those threads."""
+"""Tasks and certified errors, computed in background threads, and the warnings of those threads."""
 
 from __future__ import annotations
 
@@ -7,18 +7,14 @@ import threading
 import warnings
 from collections.abc import Callable, Iterator
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 from supple.deformation import Deformation, Report
 from supple.errors import SuppleError, spelling
-from supple.files import warp_file
 from supple.files.options import PathLike
-from supple.strokes import Recipe
 from supple.viewer.document.words import WINDOW
 
 Ear = Callable[[str, type[Warning]], None]
-_Asked = tuple[Deformation, int | None]
 
 _lock = threading.RLock()
 _ears: list[tuple[int, Ear]] = []  # threads and their listeners
@@ -69,50 +65,29 @@ def _listen() -> None:
 
 
 class Certifier:
-    """A thread that measures the map of the latest deformation, and calls a function after each."""
+    """The last report of a deformation, measured in a thread, which calls a function after it: then ask again."""
 
     def __init__(self, on_report: Callable[[], None]) -> None:
         self._on_report = on_report
-        self._news = threading.Condition()
-        self._wanted: _Asked | None = None
-        self._begun: _Asked | None = None
-        self._known: tuple[_Asked, Report | None] | None = None
-        self._closed = False
-        self._thread: threading.Thread | None = None
+        self._asked: tuple[Deformation, int | None] | None = None
+        self._report: Report | None = None
+        self._busy = False
+        self.thread: threading.Thread | None = None
 
     def report(self, deformation: Deformation, plane: int | None = None) -> Report | None:
-        """Return the certified error of a deformation, or of one plane of it; None while it is being measured."""
+        """Return the certified error of a deformation, or of one plane of it; None until it is measured."""
         asked = deformation, plane
-        with self._news:
-            if self._known is not None and self._known[0] == asked:
-                return self._known[1]
-            self._wanted = asked
-            self._news.notify_all()
-            if self._thread is None:
-                self._thread = threading.Thread(target=self._work, name="supple-certify", daemon=True)
-                self._thread.start()
-            return None
+        if asked != self._asked and not self._busy:
+            self._asked, self._report, self._busy = asked, None, True
+            self.thread = threading.Thread(target=self._measure, args=asked, name="supple-certify", daemon=True)
+            self.thread.start()
+        return self._report if asked == self._asked else None
 
-    def close(self) -> None:
-        """Stop after the current report."""
-        with self._news:
-            self._closed = True
-            self._news.notify_all()
-
-    def _work(self) -> None:
-        while True:
-            with self._news:
-                self._news.wait_for(lambda: self._closed or self._wanted != self._begun)
-                if self._closed or self._wanted is None:
-                    return
-                done, report = self._wanted, None
-                self._begun = done
-            with contextlib.suppress(SuppleError), heard(lambda text, kind: None):
-                report = done[0].report(plane=done[1])
-            with self._news:
-                self._known = done, report
-            if report is not None:
-                self._on_report()
+    def _measure(self, deformation: Deformation, plane: int | None) -> None:
+        with contextlib.suppress(SuppleError), heard(lambda text, kind: None):
+            self._report = deformation.report(plane=plane)
+        self._busy = False
+        self._on_report()
 
 
 # The start and the share of each stage. For a clip, writing begins first, and ends with the last frame.
@@ -131,7 +106,8 @@ class Task:
     Call `join` before the program ends, or running work fails.
     """
 
-    def __init__(self, work: Callable[..., Any]) -> None:
+    def __init__(self, work: Callable[..., Any], target: PathLike = "") -> None:
+        self.target = target  # the file that it writes, if there is one
         self.progress = 0.0  # the finished part, from 0 to 1; it never decreases
         self.text = _BEGUN  # the text of the progress, or of the result
         self.error: str | None = None  # the error, in one line
@@ -183,25 +159,6 @@ class Task:
             self.error = self.text = _line(f"{kind}{error}")
         else:
             self.progress, self.text = 1.0, "done"
-
-
-class Export(Task):
-    """A file that is warped in a thread.
-
-    The target appears whole, or not at all; later edits have no effect on it. Options are those of `supple.warp_file`.
-    """
-
-    def __init__(
-        self,
-        source: PathLike,
-        target: PathLike,
-        recipe: Recipe,
-        *,
-        warp: Callable[..., Any] = warp_file,
-        **options: Any,
-    ) -> None:
-        self.target = Path(target)
-        super().__init__(partial(warp, source, target, recipe, **options))
 
 
 def _line(text: str) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from operator import attrgetter
 from typing import Any, Literal, Self
 
@@ -16,11 +16,12 @@ from supple.files.clips import parts_of, with_ends
 from supple.files.volumes import indexed, placed
 from supple.folding.limits import NEAR
 from supple.space.checks import integer, refuse
-from supple.space.domain import Border, Domain
+from supple.space.domain import Domain
 from supple.space.freezing import Freeze
 from supple.space.geometry import Geometry
 from supple.space.straighten import Straighten
 from supple.strokes import CoordinateSpace, FoldPolicy, Recipe, Stroke, last_freeze, spoken
+from supple.viewer.document import words
 from supple.viewer.document.keyframes import animated, edited
 
 Kind = Literal["image", "video", "volume"]
@@ -40,12 +41,13 @@ class State:
     strokes: tuple[Stroke, ...] = ()  # in the order of application, with the hidden ones
     rest: Recipe = _EMPTY  # the recipe's other options
     selected: int | None = None
+    made_by: str = field(default="", compare=False)  # the step that led here, in words
 
     @classmethod
     def of(cls, recipe: Recipe, space: CoordinateSpace | None = None) -> Self:
         """Return the state of a recipe of samples, with nothing selected, and its space for saving."""
         rest = replace(recipe, strokes=(), size=None, space=space, time_scale=None)
-        return cls(recipe.strokes, rest)
+        return cls(recipe.strokes, rest, made_by="Open a recipe")
 
     @property
     def recipe(self) -> Recipe:
@@ -73,7 +75,8 @@ class State:
 
     def with_stroke(self, i: int, stroke: Stroke) -> Self:
         """Return a state with a stroke replaced."""
-        return replace(self, strokes=(*self.strokes[:i], stroke, *self.strokes[i + 1 :]))
+        done = words.edit(i, self.strokes[i], stroke)
+        return replace(self, strokes=(*self.strokes[:i], stroke, *self.strokes[i + 1 :]), made_by=done)
 
     @property
     def content(self) -> tuple[object, object]:
@@ -342,7 +345,8 @@ class Document:
     def add(self, stroke: Stroke) -> int:
         """Append a stroke, and select it; return its index."""
         count = len(self.strokes)
-        self._edit(replace(self.state, strokes=(*self.strokes, _checked_stroke(stroke)), selected=count))
+        strokes = (*self.strokes, _checked_stroke(stroke))
+        self._edit(replace(self.state, strokes=strokes, selected=count, made_by=words.drawn((stroke,))))
         return count
 
     def replace(self, i: int, stroke: Stroke) -> None:
@@ -359,27 +363,27 @@ class Document:
         i, selected = self._checked(i), self.selected
         if selected is not None and selected >= i:
             selected = None if selected == i else selected - 1
-        self._edit(replace(self.state, strokes=(*self.strokes[:i], *self.strokes[i + 1 :]), selected=selected))
+        strokes, done = (*self.strokes[:i], *self.strokes[i + 1 :]), f"Remove stroke {i + 1}"
+        self._edit(replace(self.state, strokes=strokes, selected=selected, made_by=done))
 
     def move(self, i: int, to: int) -> None:
         """Move a stroke to another index, so that it is applied earlier or later."""
         order = list(range(len(self.strokes)))
         order.insert(self._checked(to), order.pop(self._checked(i)))
         selected = None if self.selected is None else order.index(self.selected)
-        self._edit(replace(self.state, strokes=tuple(self.strokes[k] for k in order), selected=selected))
+        done = f"Move stroke {i + 1} {'later' if to > i else 'earlier'}"
+        self._edit(replace(self.state, strokes=tuple(self.strokes[k] for k in order), selected=selected, made_by=done))
 
     def hide(self, i: int, hidden: bool = True) -> None:
         """Hide a stroke, or show it."""
         i = self._checked(i)
         self._edit(self.state.with_stroke(i, replace(self.strokes[i], hidden=bool(hidden))))
 
-    def set_border(self, border: Border) -> None:
-        """Set the width of the fixed border, as in `Domain`."""
-        self._edit(replace(self.state, rest=replace(self.state.rest, border=border)))
-
-    def set_on_fold(self, on_fold: FoldPolicy) -> None:
-        """Set the policy for strokes that would fold the image."""
-        self._edit(replace(self.state, rest=replace(self.state.rest, on_fold=on_fold)))
+    def set_rest(self, **options: Any) -> None:
+        """Set other options of the recipe: ``border``, ``on_fold``, ``straighten``; that of no effect is none."""
+        if options.get("straighten") == Straighten():
+            options["straighten"] = None
+        self._edit(self._with_rest(self.state, options))
 
     @property
     def frozen(self) -> Freeze | None:
@@ -402,7 +406,7 @@ class Document:
 
         Before the first stroke, it is the freeze mask of the recipe. One in which nothing is frozen is none.
         """
-        state = self.state.without_freeze
+        state = replace(self.state.without_freeze, made_by=words.freezing(self.state.mask, freeze))
         mask = None if freeze is None or freeze.is_free else freeze
         if not state.strokes:
             self._edit(replace(state, rest=replace(state.rest, freeze=mask)))
@@ -417,17 +421,15 @@ class Document:
     def preview_rest(self, **options: Any) -> bool:
         """Show other options of the recipe, as the amount, as the current drag; as `preview` does."""
         before, _ = self._dragged()
-        return self._tried(replace(before.state, rest=replace(before.state.rest, **options)))
+        return self._tried(self._with_rest(before.state, options))
 
-    def set_straighten(self, straighten: Straighten | None) -> None:
-        """Set how a picture is straightened; what changes nothing is none."""
-        if straighten == Straighten():
-            straighten = None
-        self._edit(replace(self.state, rest=replace(self.state.rest, straighten=straighten)))
+    @staticmethod
+    def _with_rest(state: State, options: dict[str, Any]) -> State:
+        return replace(state, rest=replace(state.rest, **options), made_by=words.chosen(*next(iter(options.items()))))
 
     def restore(self) -> None:
         """Remove all strokes, as one step."""
-        self._edit(replace(self.state, strokes=(), selected=None))
+        self._edit(replace(self.state, strokes=(), selected=None, made_by="Restore all"))
 
     def load(self, recipe: Recipe) -> None:
         """Replace the document by a recipe, as one step."""
@@ -565,7 +567,8 @@ class Document:
         kept = [before.kept(stroke, k) for stroke in strokes]
         if i is None:
             chosen = len(state.strokes) if select else state.selected
-            return self._tried(replace(state, strokes=(*state.strokes, *kept), selected=chosen))
+            drawn = replace(state, strokes=(*state.strokes, *kept), selected=chosen, made_by=words.drawn(kept))
+            return self._tried(drawn)
         stroke = state.strokes[i]
         now = stroke.at_frame(self.frame)
         seen = now if stroke.hidden else before.tracks[k].stroke

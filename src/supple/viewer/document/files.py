@@ -9,19 +9,15 @@ import os
 import secrets
 import subprocess
 import sys
-import tempfile
 import time
 from collections.abc import Callable, Collection, Mapping
-from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import IO, Any, Protocol
-
-import numpy as np
+from typing import IO, Any, Protocol, cast
 
 from supple.errors import SuppleError, facing, shown
-from supple.files import Job
+from supple.files import Job, warp_file
 from supple.files.clips import is_picture_target
 from supple.files.freezing import read_freeze, write_freeze
 from supple.files.maps import convention_out
@@ -33,12 +29,12 @@ from supple.files.tracking import track
 from supple.media.files import check_output, locked, replacing, same_file
 from supple.media.image import check_target
 from supple.media.image.formats import SUFFIXES_OUT as PICTURES_OUT
-from supple.media.medium import VIDEOS_OUT
+from supple.media.medium import VIDEOS_OUT, opened
 from supple.media.suffixes import ANIMATED
 from supple.media.volume import SUFFIXES_OUT as VOLUMES_OUT
 from supple.media.volume import suffix_of
 from supple.strokes import Recipe, Stroke, spoken
-from supple.viewer.document.background import Export, Task
+from supple.viewer.document.background import Task
 from supple.viewer.document.editing import Document, Kind
 from supple.viewer.document.keyframes import without
 from supple.viewer.document.words import WINDOW
@@ -55,11 +51,6 @@ class Found:
     place: Path
     saved: float  # in seconds since 1970
     same: bool  # the source is unchanged, by its size and time
-    medium: object = None  # the shape and the spacing of the source, if known
-
-    def set_aside(self) -> Path:
-        """Rename the file, so that it is not offered again; return the new name."""
-        return _set_aside(self.place, "kept")
 
 
 @dataclass(eq=False)
@@ -67,8 +58,7 @@ class Autosave:
     """The autosave of a document's recipe, until the window is closed properly.
 
     Each window has a file, with a lock that the system releases if the window dies: two windows of one source never
-    share a file. Writing is done in a thread. The default folder is the system's folder for the user's state; the clock
-    returns seconds.
+    share a file. The default folder is the system's folder for the user's state; the clock returns seconds.
     """
 
     source: PathLike
@@ -82,8 +72,6 @@ class Autosave:
         self.place = self._folder / f"{_stem(self.source)}-{os.getpid()}-{secrets.token_hex(4)}.json"
         """The autosave file, which exists only while there are unsaved strokes."""
         self._lock: IO[bytes] | None = None
-        self._pool = ThreadPoolExecutor(1, "supple-autosave")
-        self._writing: Future[None] | None = None
         self._next = -float("inf")
         self._kept: object = self._now()
         self._ended = False
@@ -91,40 +79,19 @@ class Autosave:
     @property
     def due(self) -> bool:
         """Whether there are changes that are not saved yet."""
-        writing = self._writing is not None and not self._writing.done()
-        return not self._ended and (writing or self._now() != self._kept)
+        return not self._ended and self._now() != self._kept
 
     def tick(self) -> None:
         """Save changes if it is time to; may be called at any rate."""
-        now = self._now()
-        if self._ended or self.document.dragging or now == self._kept or self.clock() < self._next:
-            return
-        if self._writing is not None and not self._writing.done():
-            return
-        self._next, self._kept = self.clock() + EVERY, now
-        # A saved document needs no autosave.
-        self._writing = self._pool.submit(self._write, self.document.recipe if self.document.dirty else None)
+        if self.due and not self.document.dragging and self.clock() >= self._next:
+            self.keep()
 
     def _now(self) -> object:
         return self.document.state.content, self.document.dirty
 
-    def keep(self) -> bool:
-        """Save the current state, and wait for it; return whether it was written."""
-        self.flush()
-        self._kept = self._now()
-        self._write(self.document.recipe if self.document.dirty else None)
-        return self.trouble is None
-
-    def flush(self) -> None:
-        """Wait for the current write."""
-        if self._writing is not None:
-            self._writing.result()
-
     def clear(self, *, keep: bool = False) -> None:
         """End, and delete the file; or leave it to the next window."""
         self._ended = True
-        self.flush()
-        self._pool.shutdown()
         if not keep:
             self._remove()
         elif self._now() != self._kept:
@@ -135,24 +102,25 @@ class Autosave:
                 self.place.with_suffix(".lock").unlink()
             self._lock = None
 
-    def _write(self, recipe: Recipe | None) -> None:
+    def keep(self) -> bool:
+        """Save the current state; return whether it was written."""
+        self._next, self._kept, self.trouble = self.clock() + EVERY, self._now(), None
         try:
-            if recipe is None:
+            if not self.document.dirty:
                 self._remove()
             else:
                 self._folder.mkdir(parents=True, exist_ok=True)
                 if self._lock is None:
                     self._lock = locked(self.place.with_suffix(".lock"))
                 data: dict[str, object] = {"supple_autosave": _VERSION, "source": _described(self.source)}
-                data |= {"saved": time.time(), "medium": _medium(self.document)}
-                data["recipe"] = json.loads(recipe.to_json())
+                data |= {"saved": time.time(), "recipe": json.loads(self.document.recipe.to_json())}
                 text = json.dumps(data, indent=1, allow_nan=False)
                 with replacing(self.place, force=True) as place:
                     place.write_text(text, encoding="utf-8")
-            self.trouble = None
         except (OSError, SuppleError) as error:
             self.trouble = " ".join(str(error).split())
             self._kept = None  # retry later
+        return self.trouble is None
 
     def _remove(self) -> None:
         with contextlib.suppress(FileNotFoundError):
@@ -176,16 +144,17 @@ def found(source: PathLike, folder: PathLike | None = None) -> Found | None:
                     if data["supple_autosave"] != _VERSION:
                         continue  # for another release
                     recipe, saved = Recipe.from_json(json.dumps(data["recipe"])), float(data["saved"])
-                    one = Found(recipe, place, saved, data["source"] == _described(source), data.get("medium"))
+                    one = Found(recipe, place, saved, data["source"] == _described(source))
                 except (ValueError, TypeError, KeyError, RecursionError):
-                    _set_aside(place, "bad")
+                    set_aside(place, "bad")
                     continue
                 if best is None or one.saved > best.saved:
                     best = one
     return best
 
 
-def _set_aside(place: Path, why: str) -> Path:
+def set_aside(place: Path, why: str) -> Path:
+    """Rename an autosave file, so that it is not offered again; return the new name."""
     aside = place.with_suffix(f".{secrets.token_hex(2)}.{why}")
     try:
         os.replace(place, aside)
@@ -220,12 +189,6 @@ def _described(source: PathLike) -> dict[str, object]:
     return made
 
 
-def _medium(document: Document) -> list[list[float]]:
-    """Return the JSON form of the spacing that a source is read with; a time scale is a spacing."""
-    return [[float(n) for n in np.ravel(values)] for values in (document.shape, document.spacing)]
-
-
-BESIDE = 20.0  # seconds, after which another window is there
 FAILED = 0.5  # seconds, in which nobody answers a dialog: one that ends so early cannot be shown
 
 
@@ -277,20 +240,18 @@ class FileCommands:
         self.choose: Callable[[Question], Dialog] | None = None  # opens a dialog of the system, where there is one
         self.choosing: tuple[Question, Dialog, float] | None = None  # that is open, and since when
         self.windows = True  # whether another window can be opened
-        self.beside: tuple[subprocess.Popen[bytes], IO[bytes], float] | None = None  # the last, what it says, its start
-        self.export: Export | None = None
+        self.beside: list[subprocess.Popen[bytes]] = []  # other windows that were opened here
+        self.export: Task | None = None
         self.field: str | None = None  # the convention of the field that is exported; None for the medium itself
         self.following: tuple[Stroke, int, Task] | None = None  # what is tracked: a stroke, and from which frame
         self.recipe_path: Path | None = None  # the last saved or opened recipe
-        self._told: Export | None = None
+        self._told: Task | None = None
         self.autosave = None if self.source is None else Autosave(self.source, self.document)
         self._left = None if self.source is None else found(self.source)
         if self._left is not None:
             text = f"Changes to this file were not saved the last time (strokes: {len(self._left.recipe.strokes)})."
             if not self._left.same:
                 text += "\nThe file has changed since then."
-            if self._left.medium not in (None, _medium(self.document)):
-                text += "\nIt was read otherwise then: by another --time-scale, --series, --shape, --spacing, --fixed."
             text += "\nRestore brings them back; Keep for later opens the file without them, and says where they are."
             self.asked = Question("restore", "Restore?", text, ("Restore", "Keep for later"))
 
@@ -298,7 +259,6 @@ class FileCommands:
         """Save the autosave if it is time to; and report the end of an export, of a track, or of a dialog."""
         self._chosen()
         self._followed()
-        self._opened()
         if self.autosave is not None:
             self.autosave.tick()
         export = self.export
@@ -420,7 +380,7 @@ class FileCommands:
                 self.document.load(self._left.recipe)
                 if self.autosave is not None and not self.autosave.keep():
                     raise SuppleError(f"it is restored, but cannot be kept again: {self.autosave.trouble}: save it")
-            place = self._left.set_aside()
+            place = set_aside(self._left.place, "kept")
             if choice == "Keep for later":
                 self.message = f"the strokes are in {shown(place)}"
             self._left = None
@@ -502,30 +462,15 @@ class FileCommands:
         self.message = f"opened {shown(path)}" + (f", scaled to {spoken(size)}" if scaled else "")
 
     def open_beside(self, path: PathLike) -> None:
-        """Open another medium in a window of its own; SuppleError if there is no such file."""
+        """Open another medium in a window of its own; SuppleError if it is none."""
         if not os.path.exists(path):
             raise SuppleError(f"cannot read {shown(path)}: there is no such file")
+        _ = opened(path).grid  # of a clip, which is not opened here, None
         if not self.windows:
             raise SuppleError(f"{shown(path)} needs a window of its own: supple view opens one, on a screen or --serve")
-        if self.beside is not None:
-            self.beside[1].close()
-        said = tempfile.TemporaryFile()  # noqa: SIM115, it is read once the process ends
         words = [sys.executable, "-m", "supple", "view", os.fspath(path)]
-        self.beside = subprocess.Popen(words, stderr=said, start_new_session=True), said, time.monotonic()
+        self.beside.append(subprocess.Popen(words, start_new_session=True))
         self.message = f"{shown(path)} opens in a window of its own"
-
-    def _opened(self) -> None:
-        """Say why the other window ended, if it did so at once; later, that is its own affair."""
-        if self.beside is None:
-            return
-        process, said, begun = self.beside
-        if process.poll():
-            said.seek(0)
-            lines = said.read().decode(errors="replace").strip().splitlines()
-            self.message = lines[-1].removeprefix("supple: ") if lines else "the other window did not open"
-        if process.poll() is not None or time.monotonic() - begun > BESIDE:
-            said.close()
-            self.beside = None
 
     def begin_export(self, path: PathLike, *, force: bool = False) -> None:
         """Start to write the whole medium, warped, in the background.
@@ -539,20 +484,19 @@ class FileCommands:
         if not os.fspath(path):
             raise SuppleError("the export needs a name, whose suffix says the format")
         self._spare(path)
-        recipe, options, hold = self.document.recipe, dict(self.options), self.document.hold
+        recipe, options, work = self.document.recipe, dict(self.options), cast("Callable[..., object]", warp_file)
         if self.field is not None:
             convention_out(path, self.field, None)
             check_output(path, force=force)
-            write, self.message = partial(write_map, to=self.field), ""
-            self.export = Export(self.source, path, recipe, warp=write, force=force, **options)
-            return
-        if self.document.kind == "video":
-            options["clip"] = replace(options.get("clip", ClipOptions()), hold=hold)
-        if suffix_of(path) not in LOSSY:
-            options.pop("quality", None)
-        Job(self.source, path, recipe, force=force, **options).check()
+            work = partial(write_map, to=self.field)
+        else:
+            if self.document.kind == "video":
+                options["clip"] = replace(options.get("clip", ClipOptions()), hold=self.document.hold)
+            if suffix_of(path) not in LOSSY:
+                options.pop("quality", None)
+            Job(self.source, path, recipe, force=force, **options).check()
         self.message = ""
-        self.export = Export(self.source, path, recipe, force=force, **options)
+        self.export = Task(partial(work, self.source, path, recipe, force=force, **options), path)
 
     def end_export(self) -> None:
         """Cancel a running export, or dismiss a finished one."""
@@ -565,8 +509,6 @@ class FileCommands:
         """End properly: the autosave of discarded strokes is deleted."""
         if self.choosing is not None:
             self.choosing[1].close()
-        if self.beside is not None:
-            self.beside[1].close()
         for task in (self.export, self.following and self.following[2]):
             if task is not None:
                 task.cancel()

@@ -29,18 +29,14 @@ class Settings:
 
 
 def settings() -> Settings:
-    """Return what was kept; what is missing or broken is as in the first window."""
-    data: Any = None
-    with contextlib.suppress(OSError, ValueError, RecursionError, ImportError):
-        data = json.loads(_place().read_text(encoding="utf-8"))
-    known = data if isinstance(data, dict) else {}
-    sections, recent, veil = (known.get(name) for name in ("sections", "recent", "veil"))
-    opened = {k: on for k, on in sections.items() if isinstance(on, bool)} if isinstance(sections, dict) else {}
-    names = [name for name in recent if isinstance(name, str)] if isinstance(recent, list) else []
-    if not (isinstance(veil, list) and len(veil) == 4 and all(isinstance(v, int | float) for v in veil)):
-        veil = list(RED)
-    r, g, b, a = (min(max(v, 0.0), 1.0) for v in veil)
-    return Settings(opened, tuple(names[:RECENT]), (r, g, b, a), known.get("hinted") is True)
+    """Return what was kept; of a file that is missing or broken, what the first window has."""
+    with contextlib.suppress(OSError, ValueError, TypeError, AttributeError, RecursionError, ImportError):
+        known = json.loads(_place().read_text(encoding="utf-8"))
+        sections = {name: bool(on) for name, on in known.get("sections", {}).items()}
+        r, g, b, a = (min(max(float(v), 0.0), 1.0) for v in known.get("veil", RED))
+        recent = tuple(map(str, known.get("recent", [])))
+        return Settings(sections, recent[:RECENT], (r, g, b, a), bool(known.get("hinted")))
+    return Settings()
 
 
 def keep(**changes: Any) -> Settings:

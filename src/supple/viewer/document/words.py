@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import fields
 from functools import lru_cache
+from typing import Any
 
 from supple.deformation import Arrival
 from supple.errors import Spelling
 from supple.folding.limits import NEAR
 from supple.space.freezing import Freeze
-from supple.strokes import PAINTINGS, FoldPolicy, Recipe, Stroke
-from supple.viewer.document.editing import Point, State
+from supple.strokes import PAINTINGS, FoldPolicy, Stroke
 
 CAUSES = {"fold": "all of it would fold", "border": "the fixed border holds it back", "outside": "it starts outside"}
 CAUSES["freeze"] = "what is frozen holds it back"
@@ -25,7 +25,6 @@ FOLDS: dict[FoldPolicy, str] = {
 }
 """For each policy, what happens with a stroke that would fold the medium."""
 _FIELDS = {"at": "Position", "by": "Drag", "poisson": "Bulge sideways", "scales": "Fall-off", "also": "Points"}
-_OTHER = "Open a recipe"
 
 
 def place(values: Iterable[float], digits: int = 0) -> str:
@@ -79,7 +78,7 @@ def _held(stroke: Stroke, before: Freeze | None = None) -> str:
     """Return what a freeze does, beside the mask before it."""
     if stroke.matte is None or stroke.matte.is_free:
         return named(stroke)
-    return f"{_freezing(before, stroke.matte)}: {frozen(stroke.matte)}"
+    return f"{freezing(before, stroke.matte)}: {frozen(stroke.matte)}"
 
 
 def others(stroke: Stroke) -> str:
@@ -94,7 +93,10 @@ def _counted(count: int, what: str) -> str:
 
 
 def described(
-    stroke: Stroke, arrival: Arrival | None, unit: str = "", where: Callable[[Point], Point] = lambda point: point
+    stroke: Stroke,
+    arrival: Arrival | None,
+    unit: str = "",
+    where: Callable[[tuple[float, ...]], tuple[float, ...]] = lambda point: point,
 ) -> str:
     """Return a description of a stroke, and of its point's position, in a few lines.
 
@@ -138,51 +140,23 @@ def frozen(freeze: Freeze) -> str:
     return f"{'Less than 1' if percent < 1 else f'{percent:.0f}'} % is frozen"
 
 
-def step(before: State, after: State) -> str:
-    """Return the name of the undo step between two states."""
-    if before.rest != after.rest:
-        changed = [f.name for f in fields(Recipe) if getattr(before.rest, f.name) != getattr(after.rest, f.name)]
-        if before.strokes != after.strokes or len(changed) > 1:
-            return _OTHER
-        if changed == ["freeze"]:
-            return _freezing(before.rest.freeze, after.rest.freeze)
-        if changed == ["straighten"]:
-            return "Straighten" if after.rest.straighten else "Straighten no longer"
-        if changed == ["border"]:
-            return "Free the border" if after.rest.border is None else "Fix the border"
-        if changed == ["amount"]:
-            return f"Amount {after.rest.amount:.0%}"
-        return "Folds" if changed == ["on_fold"] else _OTHER
-    if before.mask != after.mask and before.without_freeze.strokes == after.without_freeze.strokes:
-        return _freezing(before.mask, after.mask)
-    old, new = before.strokes, after.strokes
-    # The first and the last place where they differ.
-    first = next((k for k, (a, b) in enumerate(zip(old, new, strict=False)) if a != b), min(len(old), len(new)))
-    more = len(new) - len(old)
-    if (
-        more > 0
-        and new[first + more :] == old[first:]
-        and len({named(stroke) for stroke in new[first : first + more]}) == 1
-    ):
-        made = new[first]
-        return f"{named(made)} at {place(made.at)}" + (f", {more} strokes" if more > 1 else "")
-    if not new and len(old) > 1:
-        return "Restore all"
-    if len(new) == len(old) - 1 and new[first:] == old[first + 1 :]:
-        return f"Remove stroke {first + 1}"
-    if len(new) != len(old) or first == len(old):
-        return _OTHER
-    last = max(k for k in range(first, len(old)) if old[k] != new[k])
-    if first == last:
-        return _edit(first, old[first], new[first])
-    part, moved = old[first : last + 1], new[first : last + 1]
-    if moved == (*part[1:], part[0]):
-        return f"Move stroke {first + 1} later"
-    return f"Move stroke {last + 1} earlier" if moved == (part[-1], *part[:-1]) else _OTHER
+def drawn(strokes: Sequence[Stroke]) -> str:
+    """Return the name of the step that draws strokes."""
+    return f"{named(strokes[0])} at {place(strokes[0].at)}" + (f", {len(strokes)} strokes" if len(strokes) > 1 else "")
+
+
+def chosen(option: str, value: Any) -> str:
+    """Return the name of the step that sets an option of the recipe."""
+    if option == "straighten":
+        return "Straighten" if value else "Straighten no longer"
+    if option == "border":
+        return "Free the border" if value is None else "Fix the border"
+    return f"Amount {value:.0%}" if option == "amount" else "Folds"
 
 
 @lru_cache(maxsize=256)
-def _freezing(old: Freeze | None, new: Freeze | None) -> str:
+def freezing(old: Freeze | None, new: Freeze | None) -> str:
+    """Return the name of the step from a mask to another."""
     if new is None or new.is_free:
         return "Thaw everything"
     if old is None:
@@ -195,7 +169,8 @@ def _freezing(old: Freeze | None, new: Freeze | None) -> str:
     return "Freeze" if (other <= one).all() else "Thaw" if (other >= one).all() else "Freeze and thaw"
 
 
-def _edit(i: int, old: Stroke, new: Stroke) -> str:
+def edit(i: int, old: Stroke, new: Stroke) -> str:
+    """Return the name of the step that changes a stroke."""
     if old.hidden != new.hidden:
         return f"{'Hide' if new.hidden else 'Show'} stroke {i + 1}"
     changed = [f.name for f in fields(Stroke) if getattr(old, f.name) != getattr(new, f.name)]

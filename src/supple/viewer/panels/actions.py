@@ -8,7 +8,6 @@ from functools import partial
 
 from imgui_bundle import imgui
 
-from supple.viewer.document.words import step
 from supple.viewer.panels import theme
 from supple.viewer.panels.theme import ICONS
 from supple.viewer.panels.view import STRIP, TOP, WIDE, View
@@ -37,34 +36,18 @@ def _undone(view: View) -> str:
     document = view.document
     if document.dragging or not document.can_undo:
         return ""
-    return step(document.steps[document.step - 1], document.state)
+    return document.state.made_by
 
 
 def _redone(view: View) -> str:
     document = view.document
-    return step(document.state, document.steps[document.step + 1]) if document.can_redo else ""
+    return document.steps[document.step + 1].made_by if document.can_redo else ""
 
 
 def show_original(view: View, on: bool) -> None:
     """Show the original, or the result again."""
     view.tools.original = on
     view.refresh()
-
-
-def _split(view: View) -> None:
-    view.tools.split = 0.5 if view.tools.split is None else None
-    view.refresh()
-
-
-def _hide(view: View) -> None:
-    document, chosen = view.document, view.document.selected
-    if chosen is not None:
-        document.hide(chosen, not document.strokes[chosen].hidden)
-
-
-def _delete(view: View) -> None:
-    if view.document.selected is not None:
-        view.document.remove(view.document.selected)
 
 
 def _edits(edit: Callable[[View], object]) -> Callable[[View], None]:
@@ -76,16 +59,12 @@ def _asks(name: str) -> Callable[[View], None]:
     return lambda view: view.commands.ask(name)
 
 
-def _presses(key: str) -> Callable[[View], None]:
+def _presses(key: str, *modifiers: str) -> Callable[[View], None]:
     def press(view: View) -> None:
-        view.tools.press(key)
+        view.tools.press(key, *modifiers)
         view.canvas.request_draw()
 
     return press
-
-
-def _bare(view: View) -> None:
-    view.tools.bare = not view.tools.bare
 
 
 def copy_recipe(view: View) -> None:
@@ -120,9 +99,9 @@ ACTIONS: dict[str, Action] = {
     "restore": Action(
         "Restore all", "", _edits(lambda view: view.document.restore()), lambda view: bool(view.document.strokes)
     ),
-    "handles": Action("Handles", "Ctrl+H", _bare, on=lambda view: not view.tools.bare),
-    "delete": Action("Delete the stroke", "Delete", _edits(_delete), _chosen),
-    "hide": Action("Hide or show the stroke", "H", _edits(_hide), _chosen),
+    "handles": Action("Handles", "Ctrl+H", _presses("h", "Control"), on=lambda view: not view.tools.bare),
+    "delete": Action("Delete the stroke", "Delete", _presses("Delete"), _chosen),
+    "hide": Action("Hide or show the stroke", "H", _presses("h"), _chosen),
     "thaw all": Action(
         "Thaw everything",
         "",
@@ -139,7 +118,7 @@ ACTIONS: dict[str, Action] = {
         lambda view: show_original(view, not view.tools.original),
         on=lambda view: view.tools.original,
     ),
-    "split": Action("Before and after", "B", _split, on=lambda view: view.tools.split is not None),
+    "split": Action("Before and after", "B", _presses("b"), on=lambda view: view.tools.split is not None),
     "symmetry": Action("Symmetric strokes", "M", _presses("m"), on=lambda view: view.tools.symmetric),
     "fit": Action("Fit the view", "0", _presses("0")),
     "actual": Action("100 %", "1", _presses("1"), lambda view: view.stage.kind != "volume"),

@@ -13,9 +13,9 @@ from supple.files.faces import adjusted, can_find, face_stroke, faces_of, landma
 from supple.media.faces import Face
 from supple.viewer.panels.strokes import end_drag
 from supple.viewer.panels.view import View
-from supple.viewer.panels.widgets import REST, label, section, slider, wrapped
+from supple.viewer.panels.widgets import REST, choice, section, slider, wrapped
 
-_MOST = 50.0  # percent
+_MOST = 0.5
 _SLIDERS = {
     "slim": ("Slim", "Bring the sides of the face nearer together, from the cheeks to the chin"),
     "eyes": ("Eyes", "Make the eyes larger"),
@@ -46,23 +46,19 @@ def draw(view: View) -> None:
 def _sliders(view: View, faces: tuple[Face, ...]) -> None:
     document = view.document
     if len(faces) > 1:
-        label("Face", "The largest is the first")
-        changed, index = imgui.combo("##face", view.face, [str(k + 1) for k in range(len(faces))])
-        if changed:
-            view.face = index
+        view.face = choice("Face", view.face, {k: str(k + 1) for k in range(len(faces))}, "The largest is the first")
     known = [adjusted(stroke) for stroke in document.strokes]
     i = next((k for k, each in enumerate(known) if each is not None and each[0] == view.face + 1), None)
     percents = {} if i is None else dict((known[i] or (0, {}))[1])
     moved = False
     for name, (said, tip) in _SLIDERS.items():
-        label(said, tip)
-        changed, percent = slider(f"##{name}", percents.get(name, 0.0), -_MOST, _MOST, "%.0f %%")
-        if changed:
-            percents[name] = float(round(min(max(percent, -100.0), 100.0)))
-            moved = True
+        before = percents.get(name, 0.0) / 100
+        part = slider(said, before, -_MOST, _MOST, tip=tip)
+        if part != before:
+            percents[name], moved = float(round(100 * part)), True
     if moved and not document.dragging:
-        before = document.deformation if i is None else document.below(i)
-        view.moved_face = i, _seen(faces[view.face], before)
+        below = document.deformation if i is None else document.below(i)
+        view.moved_face = i, _seen(faces[view.face], below)
         view.attempt(partial(document.begin_drag, i))
     if moved and document.dragging and view.moved_face is not None:
         place, face = view.moved_face

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from functools import partial
+from functools import lru_cache, partial
 from typing import Any
 
 from imgui_bundle import imgui
@@ -36,19 +36,17 @@ _LANE = (
 )
 
 
-def _curves(view: View, stroke: Stroke) -> dict[str, list[Pair]]:
-    """Return pairs of a frame and a value, by what is animated; those of the last stroke are cached."""
-    made: dict[str, list[Pair]] = view.curves[1]
-    if view.curves[0] is not stroke:
-        step = max(1, (stroke.keys[-1].frame - stroke.keys[0].frame) // _MOST)
-        frames = sorted({*range(stroke.keys[0].frame, stroke.keys[-1].frame, step), *(k.frame for k in stroke.keys)})
-        made = {}
-        for name, part, axis in (("x", "at", 0), ("y", "at", 1), ("strength", "strength", None)):
-            pairs = [(k.frame, getattr(k, part)) for k in stroke.keys if getattr(k, part) is not None]
-            if pairs:
-                values = [stroke.strength * v if axis is None else v[axis] for _, v in pairs]
-                made[name] = [(float(frame), curve([k for k, _ in pairs], values, frame)) for frame in frames]
-        view.curves = stroke, made
+@lru_cache(maxsize=1)
+def _curves(stroke: Stroke) -> dict[str, list[Pair]]:
+    """Return pairs of a frame and a value, by what is animated."""
+    step = max(1, (stroke.keys[-1].frame - stroke.keys[0].frame) // _MOST)
+    frames = sorted({*range(stroke.keys[0].frame, stroke.keys[-1].frame, step), *(k.frame for k in stroke.keys)})
+    made: dict[str, list[Pair]] = {}
+    for name, part, axis in (("x", "at", 0), ("y", "at", 1), ("strength", "strength", None)):
+        pairs = [(k.frame, getattr(k, part)) for k in stroke.keys if getattr(k, part) is not None]
+        if pairs:
+            values = [stroke.strength * v if axis is None else v[axis] for _, v in pairs]
+            made[name] = [(float(frame), curve([k for k, _ in pairs], values, frame)) for frame in frames]
     return made
 
 
@@ -56,12 +54,11 @@ def path(view: View, lines: imgui.ImDrawList, placed: Callable[[Pair], Pair]) ->
     """Draw the way of the selected stroke through the clip over the picture, with a diamond for each key."""
     chosen = view.document.selected
     stroke = None if chosen is None else view.document.strokes[chosen]
-    known = {} if stroke is None or stroke.hidden or not stroke.keys else _curves(view, stroke)
+    known = {} if stroke is None or stroke.hidden or not stroke.keys else _curves(stroke)
     if stroke is None or "x" not in known:
         return
-    points: list[Any] = [placed((x, y)) for (_, x), (_, y) in zip(known["x"], known["y"], strict=True)]
-    for shade, thick in ((theme.DARK, 3.0), (theme.SOFT, 1.0)):
-        lines.add_polyline(points, col=shade, thickness=thick, flags=imgui.ImDrawFlags_.none)
+    points = [placed((x, y)) for (_, x), (_, y) in zip(known["x"], known["y"], strict=True)]
+    theme.outlined_way(lines, points, theme.SOFT)
     for key in stroke.keys:
         if key.at is not None:
             _diamond(lines, placed((key.at[0], key.at[1])), _shade(view, key.frame), len(stroke.keys))
@@ -98,9 +95,10 @@ def lane(view: View, tools: VideoTools, size: Pair) -> None:
     lines.add_rect_filled(low, high, theme.packed(theme.FIELD), 4.0)
     stroke = None if chosen is None else document.strokes[chosen]
     if stroke is not None and stroke.keys:
+        curves = _curves(stroke)
         lines.push_clip_rect(low, high, True)
         lines.add_line((low.x, low.y + _ROW - 1), (high.x, low.y + _ROW - 1), theme.packed(theme.RAISED))
-        for name, pairs in _curves(view, stroke).items():
+        for name, pairs in curves.items():
             values = [0.0, 1.0] if name == "strength" else [value for _, value in pairs]
             least, span = min(values), max(max(values) - min(values), 1e-9)
             points: list[Any] = [placed(frame, (value - least) / span) for frame, value in pairs]
@@ -110,7 +108,7 @@ def lane(view: View, tools: VideoTools, size: Pair) -> None:
         lines.pop_clip_rect()
         now, at = stroke.at_frame(document.frame), high.y - size[1]
         said = {"x": f"x {now.at[0]:.1f}", "y": f"y {now.at[1]:.1f}", "strength": f"strength {now.strength:.0%}"}
-        for name in view.curves[1]:
+        for name in curves:
             lines.add_text((high.x + 12, at), _COLOURS[name], said[name])
             at += imgui.get_text_line_height()
         last = -math.inf

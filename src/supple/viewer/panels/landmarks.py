@@ -6,7 +6,6 @@ import math
 from collections.abc import Callable
 from typing import Any
 
-import numpy as np
 from imgui_bundle import imgui
 
 from supple.viewer.panels import theme
@@ -95,13 +94,12 @@ def _depth(tools: VolumeTools, at: Pair, point: tuple[float, ...]) -> float:
     surface = tools.surface(at)
     if surface is None:
         return 0.0
-    near, far = (tools.stage.project(tools.view, each) for each in (surface, point))
+    near, far = (tools.stage.project(tools.view, each) for each in (surface.index, point))
     return 0.0 if near is None or far is None else max(far[2] - near[2], 0.0)
 
 
 def _way(lines: imgui.ImDrawList, start: Pair, end: Pair, colour: int) -> None:
-    lines.add_line(start, end, theme.DARK, 3.0)
-    lines.add_line(start, end, colour & 0x90FFFFFF, 1.0)
+    theme.outlined(lines, ((start, end),), colour & 0x90FFFFFF)
     lines.add_circle(start, 2.5, colour & 0x90FFFFFF, 0, 1.0)
 
 
@@ -110,29 +108,16 @@ def _corners(at: Pair) -> list[Any]:
 
 
 def _room(taken: list[Box], at: Pair, wide: float, high: float, place: Place) -> tuple[float, float, bool]:
-    """Return the upper left corner of a name where no other lies, near its landmark, and whether it is farther away.
+    """Return the upper left corner of a name in a view where no other lies, and whether it is in another row.
 
-    It is within the view, if there is room.
+    That is beside its landmark, or the nearest row above or below.
     """
-    ends = place[0] + place[2], place[1] + place[3]
-    (x, y), right, left = at, at[0] + _BESIDE, at[0] - _BESIDE - wide
-    near = [
-        (right, y - high / 2),
-        (left, y - high / 2),
-        (x - wide / 2, y - _BESIDE - high),
-        (x - wide / 2, y + _BESIDE),
-    ]
-    steps = (sign * row for row in range(1, _ROWS) for sign in (-1, 1))
-    far = [(side, y - high / 2 + step * high) for step in steps for side in (right + _BESIDE, left - _BESIDE)]
-    for k, (a, b) in enumerate([*near, *far]):
-        a = max(min(a, ends[0] - wide), place[0]) if k >= len(near) else a
-        box = (a, b, a + wide, b + high)
-        others = np.array(taken).reshape(-1, 4)
-        apart = (
-            (others[:, 0] >= box[2]) | (others[:, 2] <= box[0]) | (others[:, 1] >= box[3]) | (others[:, 3] <= box[1])
-        )
-        own = (np.abs(others[:, :2] + 5 - at) < 0.5).all(axis=1) & (k >= len(near))  # a line leads from there
-        within = place[0] <= box[0] and place[1] <= box[1] and box[2] <= ends[0] and box[3] <= ends[1]
-        if within and (apart | own).all():
-            return a, b, k >= len(near)
-    return right, y - high / 2, False
+    left, top, width, height = place
+    for row in sorted(range(-_ROWS, _ROWS + 1), key=abs):
+        y, away = at[1] + (row - 0.5) * high, _BESIDE * (1 + (row != 0))
+        for x in (at[0] + away, at[0] - away - wide):
+            x = min(max(x, left), left + width - wide) if row else x
+            free = all(x >= c or x + wide <= a or y >= d or y + high <= b for a, b, c, d in taken)
+            if free and left <= x <= left + width - wide and top <= y <= top + height - high:
+                return x, y, row != 0
+    return at[0] + _BESIDE, at[1] - 0.5 * high, False

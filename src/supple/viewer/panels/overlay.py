@@ -127,12 +127,10 @@ def _button(tools: VolumeTools, lines: imgui.ImDrawList, k: int) -> None:
     x, y, large = left + width / 2, top + height / 2, tools.sight.large is not None
     over = tools.pointer is not None and left <= tools.pointer[0] and top <= tools.pointer[1] < top + height
     colour = theme.WHITE if over and tools.active == k else theme.GREY
-    for shade, thick in ((theme.DARK, 3.5), (colour, 1.5)):
-        for a, b in ((-1, -1), (1, -1), (-1, 1), (1, 1)):
-            near, far = (2.0, 6.0) if large else (6.0, 2.0)
-            corner = x + a * near, y + b * near
-            lines.add_line(corner, (x + a * far, y + b * near), shade, thick)
-            lines.add_line(corner, (x + a * near, y + b * far), shade, thick)
+    near, far = (2.0, 6.0) if large else (6.0, 2.0)
+    for a, b in ((-1, -1), (1, -1), (-1, 1), (1, 1)):
+        corner = [(x + a * p, y + b * q) for p, q in ((far, near), (near, near), (near, far))]
+        theme.outlined_way(lines, corner, colour, 1.5)
 
 
 def _plane(view: View, tools: VolumeTools, lines: imgui.ImDrawList, k: int) -> None:
@@ -172,11 +170,9 @@ def _plane(view: View, tools: VolumeTools, lines: imgui.ImDrawList, k: int) -> N
     other = compared is not None and compared.beside and tools.active % FIXED == k % FIXED and tools.active != k
     if other and tools.pointer is not None and (point := tools.hover) is not None:  # the pointer, in the other volume
         x, y = pane.to_canvas(point)
-        for shade, thick in ((theme.DARK, 3.0), (theme.WHITE, 1.0)):
-            lines.add_line((x - 6, y), (x + 6, y), shade, thick)
-            lines.add_line((x, y - 6), (x, y + 6), shade, thick)
+        theme.outlined(lines, (((x - 6, y), (x + 6, y)), ((x, y - 6), (x, y + 6))), theme.WHITE)
     if view.slices is not None and not view.slices.labels and width > _ROOMY:
-        low, high = compared.window if fixed and compared is not None else tools.sight.window
+        low, high = tools.sight.fixed if fixed else tools.sight.window
         unit = view.slices.unit if view.slices.unit != "label" else ""
         said = f"W {high - low:.4g}  L {0.5 * (low + high):.4g} {unit}".rstrip()
         _text(lines, (left + width - _INSET, top + height - _INSET), said, theme.GREY, (1.0, 1.0))
@@ -278,19 +274,16 @@ def strokes(
 
 def track(lines: imgui.ImDrawList, places: Iterable[Pair | None], colour: int) -> None:
     """Draw the way of a point, where it is seen."""
-    points: list[Any] = [imgui.ImVec2(*place) for place in places if place is not None]
-    for shade, thick in ((theme.DARK, 3.0), (colour, 1.5)):
-        lines.add_polyline(points, col=shade, thickness=thick, flags=imgui.ImDrawFlags_.none)
+    theme.outlined_way(lines, [place for place in places if place is not None], colour, 1.5)
 
 
 def mirror(lines: imgui.ImDrawList, grip: Pair, top: float, height: float, tilt: Pair | None = None) -> None:
     """Draw the line of symmetry, dashed, through its knobs."""
     (x, y), (a, b) = grip, tilt or (grip[0], grip[1] - 1.0)
     slope = (a - x) / (b - y)
-    for k in range(math.ceil(height / _DASH)):
-        one, other = top + k * _DASH, top + min(k * _DASH + 0.55 * _DASH, height)
-        for shade, thick in ((theme.DARK, 3.0), (theme.BLUE, 1.0)):
-            lines.add_line((x + slope * (one - y), one), (x + slope * (other - y), other), shade, thick)
+    steps = (k * _DASH for k in range(math.ceil(height / _DASH)))
+    dashes = ((top + step, top + min(step + 0.55 * _DASH, height)) for step in steps)
+    theme.outlined(lines, ([(x + slope * (end - y), end) for end in dash] for dash in dashes), theme.BLUE)
     for at in (grip, tilt):
         if at is not None:
             knob(lines, at, theme.BLUE)
@@ -307,11 +300,8 @@ def end_of(lines: imgui.ImDrawList, end: Pair, colour: int, wanted: Pair | None)
 def _rendering(view: View, tools: VolumeTools, lines: imgui.ImDrawList, place: Place) -> None:
     strokes(view, lines, tools.projected)
     if tools.sight.large is None and (at := tools.projected(tuple(map(float, tools.index)))) is not None:
-        for a, b in ((1, 0), (0, 1)):
-            for way in (-1, 1):
-                near, far = ((at[0] + way * r * a, at[1] + way * r * b) for r in (3.0, 9.0))
-                lines.add_line(near, far, theme.DARK, 3.0)
-                lines.add_line(near, far, theme.WHITE, 1.0)
+        ways = ((-1, 0), (1, 0), (0, -1), (0, 1))
+        theme.outlined(lines, ([(at[0] + r * a, at[1] + r * b) for r in (3, 9)] for a, b in ways), theme.WHITE)
     landmarks.draw(view, lines, tools.projected, _text)
     if view.computing:
         left, top, width, _ = place
@@ -327,10 +317,8 @@ def _bar(lines: imgui.ImDrawList, place: Place, scale: float) -> None:
         return
     length = rounded(most / scale)
     x, y = left + _INSET, top + height - _INSET
-    for colour, thick in ((theme.DARK, 4.0), (theme.WHITE, 2.0)):
-        lines.add_line((x, y - 2), (x + length * scale, y - 2), colour, thick)
-        for end in (x, x + length * scale):
-            lines.add_line((end, y - 6), (end, y), colour, thick)
+    end = x + length * scale
+    theme.outlined(lines, (((x, y - 2), (end, y - 2)), *(((a, y - 6), (a, y)) for a in (x, end))), theme.WHITE, 2.0)
     _text(lines, (x, y - 8), f"{length:g} mm", align=(0.0, 1.0))
 
 
@@ -583,8 +571,6 @@ def status(view: View) -> str:
         parts.append(f"{tools.view.percent:.0f} %")
     if view.refining and not document.dragging:
         parts.append(f"refining the rendering, {100 * view.filled:.0f} %")
-    elif view.busy:
-        parts.append(f"{view.rate:.0f} frames a second")
     if view.painter.coarse > 1 and tools.dragging:
         why = "no hardware GPU" if view.gpu.software else "the GPU is slow"
         parts.append(f"drawn at 1/{view.painter.coarse} while you drag: {why}")

@@ -15,10 +15,9 @@ from supple.files.options import ClipOptions
 from supple.gpu.plate import OVERLAYS
 from supple.media.transforms import CONVENTIONS
 from supple.media.volume import suffix_of
-from supple.viewer.document.background import Export
+from supple.viewer.document.background import Task
 from supple.viewer.document.files import LOSSY, Question
 from supple.viewer.document.settings import keep
-from supple.viewer.document.words import step
 from supple.viewer.panels import faces, registering, straightening, strokes, theme, volume
 from supple.viewer.panels.actions import ACTIONS
 from supple.viewer.panels.overlay import certified
@@ -28,6 +27,7 @@ from supple.viewer.panels.transforms import TRANSFORMS
 from supple.viewer.panels.view import STRIP, TOP, WIDE, View
 from supple.viewer.panels.widgets import (
     REST,
+    choice,
     elided,
     hint,
     icon_button,
@@ -87,10 +87,10 @@ def _seeing(view: View) -> None:
     if not section(view, "View"):
         return
     names = ["", "inversions"] if view.stage.kind == "volume" else list(OVERLAYS)
-    label("Overlay", "What the map does, and what it costs, in colours over the picture")
-    changed, index = imgui.combo("##overlay", names.index(view.overlay), [strokes.NAMES[name] for name in names])
-    if changed:
-        view.overlay = names[index]
+    tip = "What the map does, and what it costs, in colours over the picture"
+    overlay = choice("Overlay", view.overlay, {name: strokes.NAMES[name] for name in names}, tip)
+    if overlay != view.overlay:
+        view.overlay = overlay
         view.refresh()
     strokes.legend(view)
     label("Frozen", "The colour over what is frozen, and its opacity: 0 for none")
@@ -102,11 +102,10 @@ def _seeing(view: View) -> None:
         keep(veil=view.veil_colour)
     stage = view.stage
     if isinstance(stage, ImageStage):
-        label("Colours", "The view transform: how linear and HDR values are shown. An export keeps the values")
-        known = list(TRANSFORMS)
-        changed, index = imgui.combo("##transform", known.index(stage.transform), list(TRANSFORMS.values()))
-        if changed:
-            stage.set_transform(known[index])
+        tip = "The view transform: how linear and HDR values are shown. An export keeps the values"
+        transform = choice("Colours", stage.transform, TRANSFORMS, tip)
+        if transform != stage.transform:
+            stage.set_transform(transform)
             view.refresh()
 
 
@@ -130,16 +129,9 @@ _FORMATS = {
     "video": (".mp4", ".mov", ".mkv", ".webm", ".gif", ".webp", ".apng"),
     "volume": (".nii.gz", ".nrrd", ".mha", ".tif"),
 }
-_FIELDS = (
-    "itk",
-    "fsl-relative",
-    "fsl-absolute",
-    "afni",
-    "mrtrix",
-    "mrtrix-displacement",
-    "niftyreg",
-    "spm-deformation",
-)
+_WRITTEN: dict[str | None, str] = {None: "the bent volume"} | {
+    name: f"its field: {row.label} ({name})" for name, row in CONVENTIONS.items() if ".nii.gz" in row.forms[0].suffixes
+}
 _OF_FIELDS = {"itk": (".nii.gz", ".nrrd", ".mha", ".h5")}
 _FIELD = (
     "The bent volume; or one field of all that bends it, fields and affine maps and strokes, in the convention of a "
@@ -152,6 +144,7 @@ _BETWEEN = (
     "How an export samples between two frames: flow, the usual way where OpenCV is installed, follows their motion. "
     "Here, they are mixed, as by linear"
 )
+_FILTER = "Average over several frames where strokes speed time up: motion blur instead of jagged edges"
 
 
 def _exports(view: View, asked: Question) -> None:
@@ -160,20 +153,19 @@ def _exports(view: View, asked: Question) -> None:
     if kind == "volume":
         path = _of_what(view, asked)
     suffix = suffix_of(path)
-    label("Format", "The suffix of the name says the format, too")
-    formats = list(_FORMATS[kind] if commands.field is None else _OF_FIELDS.get(commands.field, (".nii.gz",)))
-    changed, index = imgui.combo("##format", formats.index(suffix) if suffix in formats else -1, formats)
-    if changed:
-        asked.path = path[: len(path) - len(suffix)] + formats[index]
+    formats = _FORMATS[kind] if commands.field is None else _OF_FIELDS.get(commands.field, (".nii.gz",))
+    other = choice("Format", suffix, {name: name for name in formats}, "The suffix of the name says the format, too")
+    if other != suffix:
+        asked.path = path[: len(path) - len(suffix)] + other
     if kind == "volume":
         return
     if kind == "image":
         if suffix in LOSSY:
-            label("Quality", "From 1 to 100; 0 for what the format usually has")
             known = int(commands.options.get("quality") or 0)
-            changed, number = slider("##quality", known, 0, 100, "%.0f" if known else "as usual")
-            if changed:
-                commands.options = {**commands.options, "quality": min(max(round(number), 0), 100) or None}
+            form, tip = "%.0f" if known else "as usual", "From 1 to 100; 0 for what the format usually has"
+            number = slider("Quality", known, 0, 100, form, tip)
+            if number != known:
+                commands.options = {**commands.options, "quality": round(number) or None}
         return
     clip = commands.options.get("clip") or ClipOptions()
     made: dict[str, Any] = {}
@@ -181,60 +173,37 @@ def _exports(view: View, asked: Question) -> None:
     changed, text = imgui.input_text("##codec", clip.codec or "")
     if changed:
         made["codec"] = text.strip() or None
-    label("CRF", "Lower is better, and larger: 18 for H.264; below 0 for what the codec usually has")
-    entered, number = typed(view, "##crf", -1.0 if clip.crf is None else clip.crf, _usual(clip.crf))
+    crf, form = (-1.0, "as usual") if clip.crf is None else (clip.crf, "%.1f")
+    tip = "Lower is better, and larger: 18 for H.264; below 0 for what the codec usually has"
+    entered, number = typed(view, "CRF", crf, form, tip)
     if entered:
         made["crf"] = number if 0 <= number < math.inf else None
-    label("Keep ends", _HOLD)
-    entered, number = typed(view, "##hold", float(view.document.hold), "%.0f")
-    hint(_HOLD)
+    entered, number = typed(view, "Keep ends", float(view.document.hold), "%.0f", _HOLD)
     if entered and math.isfinite(number):
-        view.attempt(lambda: view.document.set_hold(round(number)))
+        view.attempt(partial(view.document.set_hold, round(number)))
     if view.document.timed:
-        made |= _of_time(view, clip)
-    if made:
+        ways: dict[Any, str] = {None: "usual"} | {name: name for name in BETWEEN}
+        made["between"] = choice("Between", clip.between, ways, _BETWEEN)
+        length = view.stage.spacing[2] if clip.time_scale is None else clip.time_scale
+        tip = "How many pixels a frame is long, for the brush: here, only in the export"
+        entered, number = typed(view, "Time scale", length, "%.2f", tip)
+        if entered:
+            made["time_scale"] = number if 0 < number < math.inf else None
+        label("Time filter", _FILTER)
+        _, made["time_filter"] = imgui.checkbox("##time filter", clip.time_filter)
+    if replace(clip, **made) != clip:
         commands.options = {**commands.options, "clip": replace(clip, **made)}
 
 
 def _of_what(view: View, asked: Question) -> str:
     """Draw the choice between the bent volume and its field; return the name of the file."""
     commands, path = view.commands, asked.path or ""
-    names = [None, *_FIELDS]
-    label("Write", _FIELD)
-    said = ["the bent volume", *(f"its field: {CONVENTIONS[name].label} ({name})" for name in _FIELDS)]
-    changed, index = imgui.combo("##what", names.index(commands.field), said)
-    hint(_FIELD)
-    if changed:
-        commands.field = names[index]
+    field = choice("Write", commands.field, _WRITTEN, _FIELD)
+    if field != commands.field:
+        commands.field = field
         stem = path.removesuffix(suffix_of(path)).removesuffix("-bent").removesuffix("-field")
         path = asked.path = f"{stem}-{'bent' if commands.field is None else 'field'}.nii.gz"
     return path
-
-
-def _usual(value: float | None) -> str:
-    """Return the format of a number that may be left to the codec."""
-    return "as usual" if value is None else "%.1f"
-
-
-def _of_time(view: View, clip: ClipOptions) -> dict[str, Any]:
-    """Draw what is for strokes in time alone; return what was changed."""
-    made: dict[str, Any] = {}
-    label("Between", _BETWEEN)
-    names = [None, *BETWEEN]
-    changed, index = imgui.combo("##between", names.index(clip.between), ["usual", *BETWEEN])
-    hint(_BETWEEN)
-    if changed:
-        made["between"] = names[index]
-    label("Time scale", "How many pixels a frame is long, for the brush: here, only in the export")
-    length = view.stage.spacing[2] if clip.time_scale is None else clip.time_scale
-    entered, number = typed(view, "##time scale", length, "%.2f")
-    if entered:
-        made["time_scale"] = number if 0 < number < math.inf else None
-    label("Time filter", "Average over several frames where strokes speed time up: motion blur instead of jagged edges")
-    changed, on = imgui.checkbox("##time filter", clip.time_filter)
-    if changed:
-        made["time_filter"] = on
-    return made
 
 
 def _files(view: View) -> None:
@@ -249,7 +218,7 @@ def _files(view: View) -> None:
     hint(f"Bend the file itself, at full quality ({action.keys})" if action.able(view) else "An array is no file")
 
 
-def _exporting(view: View, job: Export) -> None:
+def _exporting(view: View, job: Task) -> None:
     text, colour, size = f"Exporting: {job.text}", theme.TEXT, imgui.get_frame_height()
     if job.done and (job.error is not None or job.cancelled):
         text, colour = job.error or job.text, theme.WARNING
@@ -305,13 +274,13 @@ def _question(view: View) -> None:
     if asked.problem:
         wrapped(asked.problem, wide, theme.WARNING)
     imgui.spacing()
-    for k, choice in enumerate(asked.offered):
+    for k, text in enumerate(asked.offered):
         if k:
             imgui.same_line()
-            if imgui.get_cursor_pos_x() + imgui.calc_text_size(choice).x > width - 40:
+            if imgui.get_cursor_pos_x() + imgui.calc_text_size(text).x > width - 40:
                 imgui.new_line()
-        if primary(choice, 0.0) if k == 0 else imgui.button(choice, (0, 32)):
-            answer = choice
+        if primary(text, 0.0) if k == 0 else imgui.button(text, (0, 32)):
+            answer = text
     if asked.name == "export" and view.commands.choose is not None:
         imgui.same_line()
         if imgui.button("Browse \u2026", (0, 32)):
@@ -381,7 +350,7 @@ def _history(view: View) -> None:
             imgui.pop_style_color()
             hint(_MARKED if marked else _MARK)
             imgui.same_line()
-            name = "Start" if k == 0 else step(steps[k - 1], steps[k])
+            name = steps[k].made_by if k else "Start"
             imgui.push_style_color(imgui.Col_.text, theme.TEXT if k <= now else theme.FAINT)
             if imgui.selectable(f"{name}###step {k}", k == now)[0] and not document.dragging:
                 view.attempt(partial(document.go, k))

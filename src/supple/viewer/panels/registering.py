@@ -12,7 +12,18 @@ from supple.viewer.panels import theme
 from supple.viewer.panels.layers import Segmentation
 from supple.viewer.panels.theme import CROSS, HIDDEN, SEEN
 from supple.viewer.panels.view import View
-from supple.viewer.panels.widgets import REST, hint, icon_button, label, listing, section, slider, toggle, wrapped
+from supple.viewer.panels.widgets import (
+    REST,
+    choice,
+    hint,
+    icon_button,
+    label,
+    listing,
+    section,
+    slider,
+    toggle,
+    wrapped,
+)
 from supple.viewer.tools.comparing import MODES, SHARES, Comparison
 from supple.viewer.tools.volumes import VolumeTools
 
@@ -43,29 +54,25 @@ def draw(view: View) -> None:
 def _comparison(view: View, tools: VolumeTools, known: Comparison) -> None:
     if not section(view, "Compare"):
         return
-    label("Fixed", f"{MODES[known.mode]}. X goes on to the next way")
-    modes = list(MODES)
-    changed, index = imgui.combo("##compare", modes.index(known.mode), modes)
-    hint(MODES[known.mode])
-    if changed:
-        tools.compare(modes[index])
+    tip = f"{MODES[known.mode]}. X goes on to the next way"
+    mode = choice("Fixed", known.mode, {name: name for name in MODES}, tip)
+    if mode != known.mode:
+        tools.compare(mode)
         view.refresh()
     if known.mode in SHARES:
         said, tip, low, high, form = SHARES[known.mode]
-        label(said, tip)
-        changed, value = slider("##share", known.shares[known.mode], low, high, form)
-        if changed:
-            known.shares[known.mode] = min(max(value, low), high)
+        share = slider(said, known.shares[known.mode], low, high, form, tip)
+        if share != known.shares[known.mode]:
+            known.shares[known.mode] = share
             view.refresh()
 
 
 def _labels(view: View, known: Segmentation) -> None:
     if not section(view, "Labels", f"Labels ({len(known.labels)})"):
         return
-    label("Opacity", "Of labels over the planes; 0 for none")
-    changed, value = slider("##labels", 100 * known.opacity, 0.0, 100.0, "%.0f %%")
-    if changed:
-        known.opacity = min(max(value / 100, 0.0), 1.0)
+    opacity = slider("Opacity", known.opacity, 0.0, 1.0, tip="Of labels over the planes; 0 for none")
+    if opacity != known.opacity:
+        known.opacity = opacity
         view.refresh()
     row = imgui.get_frame_height_with_spacing()
     listing("labels", len(known.labels), _MOST, row)

@@ -110,19 +110,20 @@ class Slices:
     def _upload(self, key: tuple[int, bool], tools: VolumeTools, plane: Plane, layers: tuple[Array, ...]) -> bool:
         """Upload a plane to the device, if it is not there; return whether it was not."""
         known, compared, over = self._textures.get(key), tools.comparison, self.segmentation
-        look = tools.sight.window, compared and compared.look, over and over.look
+        sight = tools.sight
+        look = sight.window, sight.fixed, compared and compared.look, over and over.look
         if known is not None and known[2] == look and all(a is b for a, b in zip(known[1], layers, strict=True)):
             return False
         rest = list(layers[1:])
         if compared is None:
-            made = self.shaded(layers[0], tools.sight.window)
+            made = self.shaded(layers[0], sight.window)
         elif key[0] >= FIXED:
-            made = greys(layers[0], compared.window)
+            made = greys(layers[0], sight.fixed)
         else:
             rows, columns = sorted((plane.across, plane.down), reverse=True)
             steps = tools.geometry.spacing[rows], tools.geometry.spacing[columns]
-            made = self.shaded(layers[0], tools.sight.window)
-            made = compared.compared(made, greys(rest.pop(0), compared.window), steps)
+            made = self.shaded(layers[0], sight.window)
+            made = compared.compared(made, greys(rest.pop(0), sight.fixed), steps)
         if over is not None and rest:
             made = over.tinted(made, rest[0])
         texture = filled(self._gpu, None if known is None else known[0], turned(made, plane))

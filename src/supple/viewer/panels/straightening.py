@@ -12,7 +12,7 @@ from supple.errors import SuppleError
 from supple.space.straighten import FRAMES, Straighten
 from supple.viewer.panels import theme
 from supple.viewer.panels.view import View
-from supple.viewer.panels.widgets import REST, hint, label, section, toggle, typed
+from supple.viewer.panels.widgets import REST, choice, hint, label, section, toggle, typed
 from supple.viewer.tools.brushes import ImageTools
 
 _BESIDE = 0xA0101010  # over what an export leaves out
@@ -32,11 +32,9 @@ def draw(view: View) -> None:
     if "level" in tools.lacks or not section(view, "Straighten", shown=used):
         return
     known = given or Straighten()
-    label("Turn", _TURN)
-    entered, degrees = typed(view, "##turn", known.rotate, "%.2f")
-    hint(_TURN)
+    entered, degrees = typed(view, "Turn", known.rotate, "%.2f", _TURN)
     if entered:
-        view.attempt(lambda: document.set_straighten(replace(known, rotate=degrees)))
+        view.attempt(lambda: document.set_rest(straighten=replace(known, rotate=degrees)))
     label("Keystone", _KEYSTONE)
     wide = imgui.get_content_region_avail().x - imgui.get_style().item_spacing.x
     if toggle("Draw its frame", tools.brush == "keystone", wide * (0.6 if known.keystone else 1.0)):
@@ -46,15 +44,13 @@ def draw(view: View) -> None:
     if known.keystone:
         imgui.same_line()
         if imgui.button("Remove", (REST, 0)):
-            view.attempt(lambda: document.set_straighten(replace(known, keystone=())))
-    label("Frame", _FIT)
-    changed, index = imgui.combo("##frame of it", FRAMES.index(known.fit), list(FRAMES))
-    hint(_FIT)
-    if changed:
-        view.attempt(lambda: document.set_straighten(replace(known, fit=FRAMES[index])))  # type: ignore[arg-type]
+            view.attempt(lambda: document.set_rest(straighten=replace(known, keystone=())))
+    fit = choice("Frame", known.fit, {name: name for name in FRAMES}, _FIT)
+    if fit != known.fit:
+        view.attempt(lambda: document.set_rest(straighten=replace(known, fit=fit)))  # type: ignore[arg-type]
     imgui.begin_disabled(document.state.rest.straighten is None)
     if imgui.button("As it was"):
-        view.attempt(partial(document.set_straighten, None))
+        view.attempt(partial(document.set_rest, straighten=None))
     imgui.end_disabled()
 
 
@@ -78,12 +74,9 @@ def overlay(view: View, tools: ImageTools, lines: imgui.ImDrawList) -> None:
         for k in range(4):
             lines.add_line(corners[k - 1], corners[k], theme.WHITE, 1.0)
     corners = [tools.view.to_canvas(*p) for p in tools.corners]
-    for k, corner in enumerate(corners):
-        for shade, thick in ((theme.DARK, 3.0), (theme.BLUE, 1.5)):
-            lines.add_line(corners[k - 1], corner, shade, thick)
+    theme.outlined(lines, ((corners[k - 1], corner) for k, corner in enumerate(corners)), theme.BLUE, 1.5)
     for corner in corners:
         lines.add_circle_filled(corner, 6.0, theme.WHITE)
         lines.add_circle(corner, 6.0, theme.BLUE, 0, 2.0)
     if tools.line is not None:
-        for shade, thick in ((theme.DARK, 3.0), (theme.BLUE, 1.5)):
-            lines.add_line(*tools.line, shade, thick)
+        theme.outlined(lines, (tools.line,), theme.BLUE, 1.5)

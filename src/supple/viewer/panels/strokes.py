@@ -5,14 +5,14 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from functools import cache, partial
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
 from imgui_bundle import imgui
 
 from supple.deformation import Deformation
 from supple.folding.limits import NEAR
-from supple.strokes import LEAST, MOST, PAINTINGS, POISSON, REACH, FoldPolicy, Stroke, last_freeze, time_radius_of
+from supple.strokes import LEAST, MOST, PAINTINGS, POISSON, REACH, Stroke, last_freeze, time_radius_of
 from supple.strokes.stroke import MOST_FLAT
 from supple.viewer.document.keyframes import edited
 from supple.viewer.document.words import CAUSES, FALLOFFS, FOLDS, described, frozen, listed, others
@@ -23,6 +23,7 @@ from supple.viewer.panels.theme import HIDDEN, SEEN
 from supple.viewer.panels.view import View
 from supple.viewer.panels.widgets import (
     REST,
+    choice,
     hint,
     icon_button,
     label,
@@ -34,7 +35,7 @@ from supple.viewer.panels.widgets import (
     wrapped,
 )
 from supple.viewer.tools.brushes import ImageTools, VideoTools
-from supple.viewer.tools.drawing import IMMATERIAL, MASKS
+from supple.viewer.tools.drawing import IMMATERIAL, LIGHTEST, MASKS
 
 NAMES = {
     "": "None",
@@ -76,17 +77,12 @@ def legend(view: View) -> None:
             lines.add_rect_filled((begin, at.y), (end, at.y + _HIGH), shade)
     else:
         lines.add_rect_filled_multi_color((at.x, at.y), (at.x + wide, at.y + _HIGH), cold, hot, hot, cold)
-    imgui.dummy((wide, _HIGH))
-    left = imgui.get_cursor_pos_x()
     for k, mark in enumerate(marks):
-        part = k / (len(marks) - 1)
-        imgui.set_cursor_pos_x(left + part * (wide - imgui.calc_text_size(mark).x))
-        imgui.text_disabled(mark)
-        if part < 1.0:
-            imgui.same_line()
+        x = at.x + k / (len(marks) - 1) * (wide - imgui.calc_text_size(mark).x)
+        lines.add_text((x, at.y + _HIGH + 4), theme.packed(theme.FAINT), mark)
+    imgui.dummy((wide, _HIGH + imgui.get_text_line_height_with_spacing()))
 
 
-_POLICIES = get_args(FoldPolicy)
 _FALLOFF = "How fast the pull fades with the distance: far as 1/r, medium as 1/r\u00b3, near as 1/r\u2075"
 _BULGE = (
     "How much the surroundings make room, as rubber does: what lies ahead and behind is pushed to the sides. It is "
@@ -151,54 +147,33 @@ def _next(view: View) -> None:
             ACTIONS[name].do(view)
         imgui.end_disabled()
     if tools.brush in PAINTINGS:
-        label("Strength", "The part of the way that a click brings it")
-        changed, value = slider("##strength", 100 * tools.strength, 1.0, 100.0, "%.0f %%")
-        if changed:
-            tools.strength = min(max(value / 100, 0.01), 1.0)
+        tip = "The part of the way that a click brings it"
+        tools.strength = slider("Strength", tools.strength, LIGHTEST, 1.0, tip=tip)
 
 
 def _numbers(view: View, stroke: Stroke, simple: bool = False) -> dict[str, Any]:
     """Draw what strokes and the brush have in common, or the radius alone; return what was changed, by its name."""
+    tip = "The size of the brush: also the wheel, [ and ], or a right drag"
+    form, (low, high) = "%.1f mm" if view.stage.kind == "volume" else "%.1f px", view.tools.radius_limits
     made: dict[str, Any] = {}
-    form = "%.1f mm" if view.stage.kind == "volume" else "%.1f px"
-    label("Radius", "The size of the brush: also the wheel, [ and ], or a right drag")
-    low, high = view.tools.radius_limits
-    changed, value = slider("##radius", stroke.radius, low, max(high, stroke.radius), form, logarithmic=True)
-    if changed:
-        made["radius"] = max(value, low)
-    if simple:
-        return made
-    grabs = stroke.brush == "grab"
+    made["radius"] = slider("Radius", stroke.radius, low, max(high, stroke.radius), form, tip, logarithmic=True)
+    grabs = stroke.brush == "grab" and not simple
     if grabs:  # the others fade in one way
-        label("Fall-off", _FALLOFF)
-        changed, index = imgui.combo("##falloff", stroke.scales - 1, list(FALLOFFS))
-        if changed:
-            made["scales"] = index + 1
-    if stroke.brush not in IMMATERIAL:
-        label("Bulge sideways", _BULGE, _bulging)
+        made["scales"] = choice("Fall-off", stroke.scales, dict(enumerate(FALLOFFS, 1)), _FALLOFF)
+    if stroke.brush not in IMMATERIAL and not simple:
         material = POISSON if stroke.poisson is None else max(stroke.poisson, -1.0)
-        changed, value = slider("##poisson", material, -1.0, 0.5, "%.2f")
-        hint(_BULGE, _bulging)
-        if changed:
-            made["poisson"] = min(max(value, -1.0), 0.5)
-    label("Reach", _REACH)
-    changed, reach = _optional("reach", stroke.reach, REACH, "no limit", (1.0, 10.0, "%.1f radii"), _REACH)
-    if changed:
-        made["reach"] = reach
+        value = slider("Bulge sideways", material, -1.0, 0.5, "%.2f", _BULGE, _bulging)
+        made["poisson"] = stroke.poisson if value == material else value
+    if not simple:
+        made["reach"] = _optional("Reach", stroke.reach, REACH, "no limit", (1.0, 10.0, "%.1f radii"), _REACH)
     if grabs and not stroke.also and stroke.reach is not None:
-        label("Plateau", _FLAT)
-        changed, value = slider("##flat", 100 * stroke.flat, 0.0, 100 * MOST_FLAT, "%.0f %%")
-        if changed:
-            made["flat"] = min(max(value / 100, 0.0), MOST_FLAT)
-    if view.document.timed and not stroke.isotropic:
-        label("Radius in time", _IN_TIME)
+        made["flat"] = slider("Plateau", stroke.flat, 0.0, MOST_FLAT, tip=_FLAT)
+    if view.document.timed and not stroke.isotropic and not simple:
         count = view.document.shape[0]
         usual = time_radius_of(stroke, count, view.stage.spacing[2])
-        limits = (0.5, max(0.5 * count, 1.0), "%.1f frames")
-        changed, frames = _optional("frames", stroke.time_radius, usual, f"{usual:.1f} frames", limits, _IN_TIME)
-        if changed:
-            made["time_radius"] = frames
-    return made
+        limits, none = (0.5, max(0.5 * count, 1.0), "%.1f frames"), f"{usual:.1f} frames"
+        made["time_radius"] = _optional("Radius in time", stroke.time_radius, usual, none, limits, _IN_TIME)
+    return {name: value for name, value in made.items() if value != getattr(stroke, name)}
 
 
 def _bulging() -> None:
@@ -226,28 +201,26 @@ def _pulled(poisson: float) -> list[list[list[float]]]:
 def _kind(view: View) -> None:
     """Draw the choice of what strokes of a clip are, which all those of a recipe are."""
     document = view.document
-    label("Strokes", _KIND)
     imgui.begin_disabled(bool(document.strokes))
-    changed, index = imgui.combo("##kind", int(not document.timed), ["in time", "in every frame"])
+    timed = choice("Strokes", document.timed, {True: "in time", False: "in every frame"}, _KIND)
     imgui.end_disabled()
-    hint(_KIND)
-    if changed:
-        view.attempt(partial(setattr, document, "timed", index == 0))
+    if timed != document.timed:
+        view.attempt(partial(setattr, document, "timed", timed))
 
 
 def _optional(
     name: str, value: float | None, usual: float, none: str, limits: tuple[float, float, str], tip: str
-) -> tuple[bool, float | None]:
-    """Draw a switch, and the slider of a value if there is one; return whether it was changed, and the value."""
-    changed, own = imgui.checkbox(f"##limited {name}", value is not None)
+) -> float | None:
+    """Draw a switch, and the slider of a value if there is one; return the value."""
+    label(name, tip)
+    _, on = imgui.checkbox(f"##limited {name.lower()}", value is not None)
     hint(tip)
     imgui.same_line()
-    if changed or value is None:
+    if value is None or not on:
         imgui.text_disabled(none)
-        return changed, usual if changed and own else None
+        return usual if on else None
     imgui.set_next_item_width(REST)
-    changed, now = slider(f"##{name}", value, *limits)
-    return changed, max(float(now), limits[0]) if changed else value
+    return slider(f"##{name.lower()}", value, *limits)
 
 
 def strokes(view: View) -> None:
@@ -328,8 +301,7 @@ def _selected(view: View, i: int) -> None:
             if axis:
                 imgui.same_line(0, gap)
             imgui.set_next_item_width(wide)
-            entered, value = typed(view, f"##{name}{axis}", values[axis], "%.1f")
-            hint(f"{said} {axes[axis]}")
+            entered, value = typed(view, f"##{name}{axis}", values[axis], "%.1f", f"{said} {axes[axis]}")
             if entered and math.isfinite(value):
                 values[axis] = value
                 changed: dict[str, Any] = {name: tuple(values)}
@@ -341,13 +313,17 @@ def _selected(view: View, i: int) -> None:
     ):
         if number is None:  # another brush's
             continue
-        label(said)
-        entered, now = typed(view, f"##{name}", number, form)
+        entered, now = typed(view, said, number, form)
         if entered:
             entries[name] = now
     if entries:
         view.attempt(lambda: document.change(i, view.tools.paired(stroke, replace(stroke, **entries))))
-    _live(view, i, own, stroke, _numbers(view, stroke) | _strength(own, stroke))
+    changes: dict[str, Any] = _numbers(view, stroke)
+    tip = "How much of the stroke is applied; of an animated one, in this frame. Below 0, the opposite"
+    strength = slider("Strength", stroke.strength, LEAST, MOST, tip=tip)
+    if strength != stroke.strength:
+        changes["strength"] = strength
+    _live(view, i, own, stroke, changes)
     if stroke.also:
         wrapped(f"Also to drag in the picture: {others(stroke)}.")
     if view.stage.kind == "video" and not document.timed:
@@ -373,21 +349,15 @@ def _order(view: View, i: int) -> None:
     hint("Delete the stroke (Delete)")
 
 
-def _strength(stroke: Stroke, now: Stroke) -> dict[str, Any]:
-    label("Strength", "How much of the stroke is applied; of an animated one, in this frame. Below 0, the opposite")
-    changed, value = slider("##strength", 100 * now.strength, 100 * LEAST, 100 * MOST, "%.0f %%")
-    return {"strength": min(max(value / 100, LEAST), MOST)} if changed else {}
-
-
 def _amount(view: View) -> None:
     document = view.document
-    label("Amount", "How much of all strokes is applied: less takes back, below 0 they do the opposite")
-    now = document.state.rest.amount
-    changed, value = slider("##amount", 100 * now, 100 * LEAST, 100 * MOST, "%.0f %%")
+    tip = "How much of all strokes is applied: less takes back, below 0 they do the opposite"
+    amount = slider("Amount", document.state.rest.amount, LEAST, MOST, tip=tip)
+    changed = amount != document.state.rest.amount
     if changed:
         _begin(view, None)
     if changed and document.dragging:
-        view.attempt(lambda: document.preview_rest(amount=min(max(value / 100, LEAST), MOST)))
+        view.attempt(lambda: document.preview_rest(amount=amount))
     end_drag(view)
 
 
@@ -426,7 +396,7 @@ def _arrival(view: View, i: int) -> None:
         cause = CAUSES[arrival.cause or "border"]
         wrapped(f"Its point ends {arrival.miss:.3g} {unit} from its target: {cause}.", colour=theme.WARNING)
         if document.state.on_fold != "flow" and imgui.button("Go all the way, in small steps", (REST, 0)):
-            view.attempt(lambda: document.set_on_fold("flow"))
+            view.attempt(lambda: document.set_rest(on_fold="flow"))
         hint("No step folds; for all strokes")
     if (said := document.warning(i)) is not None and "as far as is possible" in said:
         wrapped(f"{said.partition(':')[0]}.", colour=theme.WARNING)
@@ -442,16 +412,15 @@ def folds(view: View) -> None:
     if not section(view, "Folds and border"):
         return
     document = view.document
-    policy = document.state.on_fold
-    label("If it folds", "What happens where a stroke is so strong that the picture would fold over itself")
-    changed, index = imgui.combo("##folds", _POLICIES.index(policy), [FOLDS[p] for p in _POLICIES])
-    if changed:
-        view.attempt(lambda: document.set_on_fold(_POLICIES[index]))
+    tip = "What happens where a stroke is so strong that the picture would fold over itself"
+    policy = choice("If it folds", document.state.on_fold, FOLDS, tip)
+    if policy != document.state.on_fold:
+        view.attempt(lambda: document.set_rest(on_fold=policy))
     border = document.state.rest.border
     label("Border", "A fixed border stays where it is; what is on a free one moves, and leaves a gap")
     changed, fixed = imgui.checkbox("fixed##border", border is not None)
     if changed:
-        view.attempt(lambda: document.set_border("auto" if fixed else None))
+        view.attempt(lambda: document.set_rest(border="auto" if fixed else None))
     if border is None:
         return
     imgui.same_line()
@@ -459,9 +428,8 @@ def folds(view: View) -> None:
     hint("Strokes fade over a tenth of each side; or over a width of your own")
     if changed:
         widths = document.deformation.domain.border_widths or (1.0,)
-        view.attempt(lambda: document.set_border("auto" if tenth else max(min(widths), 1.0)))
+        view.attempt(lambda: document.set_rest(border="auto" if tenth else max(min(widths), 1.0)))
     if isinstance(border, float):
-        label("Its width")
-        entered, value = typed(view, "##border width", border, "%.1f")
+        entered, value = typed(view, "Its width", border, "%.1f")
         if entered:
-            view.attempt(lambda: document.set_border(value))
+            view.attempt(lambda: document.set_rest(border=value))

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from functools import cache
 from importlib import resources
+from typing import Any
 
 from imgui_bundle import imgui
 
 Colour = tuple[float, float, float, float]
+Pair = tuple[float, float]
 
 ACCENT: Colour = (0.25, 0.63, 1.0, 1.0)  # of handles, too
 PRIMARY: Colour = (0.12, 0.43, 0.80, 1.0)
@@ -85,6 +88,20 @@ def style() -> None:
     style.window_rounding = style.popup_rounding = 6.0
     style.frame_rounding = style.child_rounding = style.grab_rounding = 4.0
     style.scrollbar_size, style.scrollbar_rounding, style.grab_min_size = 10.0, 5.0, 10.0
+
+
+def outlined(lines: imgui.ImDrawList, ends: Iterable[Sequence[Pair]], colour: int, thick: float = 1.0) -> None:
+    """Draw lines with dark edges, by which they are seen on any picture."""
+    pairs = list(ends)
+    for shade, wide in ((DARK, thick + 2.0), (colour, thick)):
+        for start, end in pairs:
+            lines.add_line(start, end, shade, wide)
+
+
+def outlined_way(lines: imgui.ImDrawList, points: list[Any], colour: int, thick: float = 1.0) -> None:
+    """Draw a line through points with dark edges."""
+    for shade, wide in ((DARK, thick + 2.0), (colour, thick)):
+        lines.add_polyline(points, col=shade, thickness=wide, flags=imgui.ImDrawFlags_.none)
 
 
 BEFORE, AFTER, KEY = "\uf053", "\uf054", "\uf219"

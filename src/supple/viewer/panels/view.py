@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -241,7 +240,6 @@ class View:
         self.veil_colour, self.hinted = known.veil, known.hinted
         self.copy_text: Callable[[str], None] | None = None  # to the clipboard, if there is one
         self.typed: dict[str, float] = {}  # numbers being typed in the panel
-        self.curves: Any = None, {}  # a stroke with keys, and what is drawn of them
         self.held_key: tuple[int, KeyPart] | None = None  # the key in the pointer's hand, and what of it
         self.filled = 0.0
         self.computing = False  # whether the image comes after this frame, as it takes long
@@ -258,7 +256,6 @@ class View:
         self._changed_at = 0.0
         self.ready_at = time.perf_counter()  # when an image was last complete
         self._drawn_key: tuple[Shot, int] | None = None
-        self._frames: deque[float] = deque(maxlen=30)
         self._callbacks: list[Callable[[Recipe], None]] = []
         self._told: Recipe | None = None
         self._content = self.document.state.content
@@ -361,20 +358,8 @@ class View:
         return slow and filling and not self.document.deformation.is_identity
 
     @property
-    def busy(self) -> bool:
-        """Return whether frames follow each other, so that their rate matters."""
-        return self.rate >= 1.5 and (self.tools.dragging or self._playing or self.refining or self._lately)
-
-    @property
     def _lately(self) -> bool:
         return time.perf_counter() - self._changed_at < SETTLED
-
-    @property
-    def rate(self) -> float:
-        """The recent frames a second."""
-        if len(self._frames) < 2 or time.perf_counter() - self._frames[-1] > 1.0:
-            return 0.0
-        return (len(self._frames) - 1) / max(self._frames[-1] - self._frames[0], 1e-9)
 
     def write(self, path: str, force: bool) -> None:
         """Write the image of the canvas, drawn at full size."""

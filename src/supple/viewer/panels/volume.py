@@ -16,7 +16,7 @@ from supple.render.transfer import LABELS, PRESETS, TransferFunction
 from supple.viewer.panels import theme
 from supple.viewer.panels.stages import VolumeStage
 from supple.viewer.panels.view import View
-from supple.viewer.panels.widgets import LABEL, REST, hint, label, section, slider, toggle, typed, wrapped
+from supple.viewer.panels.widgets import LABEL, REST, choice, hint, label, section, slider, toggle, typed, wrapped
 from supple.viewer.tools.planes import ends_of
 from supple.viewer.tools.volumes import VolumeTools
 
@@ -33,11 +33,10 @@ def draw(view: View) -> None:
     if not isinstance(stage, VolumeStage) or not section(view, "Volume"):
         return
     names = [*PRESETS, *([LABELS] if stage.unit == "label" else [])]
-    label("Colours", "Which colours and opacities the values have")
-    now = names.index(stage.preset) if stage.preset in names else -1
-    changed, index = imgui.combo("##colours", now, names)
-    if changed:
-        _show(view, lambda: stage.look(names[index], stage.density))
+    tip = "Which colours and opacities the values have"
+    preset = choice("Colours", stage.preset, {name: name for name in names}, tip)
+    if preset != stage.preset:
+        _show(view, lambda: stage.look(preset, stage.density))
     low, high = stage.scene.range
     window = stage.density or (low, high)
     wide, transfer = imgui.get_content_region_avail().x, stage.scene.transfer
@@ -48,20 +47,17 @@ def draw(view: View) -> None:
         hint("How many voxels have which value, on a logarithmic scale, and the opacity of each")
         _curve(stage, transfer)
     for k, said in enumerate(("Values from", "to")):
-        label(said, "The range of values that the colours are spread over")
-        changed, value = slider(f"##density {said}", window[k], low, high, "%.4g")
+        tip = "The range of values that the colours are spread over"
+        value = slider(said, window[k], low, high, "%.4g", tip)
         both = (value, max(window[1], value)) if k == 0 else (min(window[0], value), value)
-        if changed and both[0] < both[1]:
+        if value != window[k] and both[0] < both[1]:
             _show(view, partial(stage.look, transfer, None if both == (low, high) else both))
     if isinstance(transfer, TransferFunction):
         _transfer(view, stage, transfer)
     _cutting(view, stage)
-    label("Rendering", _MODES[stage.mode])
-    modes = list(_MODES)
-    changed, index = imgui.combo("##mode", modes.index(stage.mode), modes)
-    hint(_MODES[stage.mode])
-    if changed:
-        _show(view, lambda: stage.set_mode(modes[index]))
+    mode = choice("Rendering", stage.mode, {name: name for name in _MODES}, _MODES[stage.mode])
+    if mode != stage.mode:
+        _show(view, lambda: stage.set_mode(mode))
     filling = view.filled < 1.0 and not view.tools.original
     if stage.mode == "hybrid" and filling and not view.document.deformation.is_identity:
         imgui.progress_bar(view.filled, (REST, 6), "")
@@ -99,13 +95,13 @@ def _cutting(view: View, stage: VolumeStage) -> None:
         low, high = box[k]
         label(f"{'xyz'[k]}, {named[k][0]} to {named[k][1]}", "The voxels from which, and to which, it is rendered")
         imgui.set_next_item_width(0.5 * (beside - gap))
-        down, from_ = slider(f"##from{k}", low, first, last, "%.0f")
+        from_ = slider(f"##from{k}", low, first, last, "%.0f")
         imgui.same_line()
         imgui.set_next_item_width(0.5 * (beside - gap))
-        up, to = slider(f"##to{k}", high, first, last, "%.0f")
-        if down or up:
-            low = min(max(round(from_), first), high - 1) if down else low
-            high = max(min(round(to), last), low + 1) if up else high
+        to = slider(f"##to{k}", high, first, last, "%.0f")
+        if (from_, to) != (low, high):
+            low = min(round(from_), high - 1) if from_ != low else low
+            high = max(round(to), low + 1) if to != high else high
             _show(view, partial(stage.cut, (*box[:k], (float(low), float(high)), *box[k + 1 :])))
     imgui.begin_disabled(box == whole)
     if imgui.button("Show all"):
@@ -122,16 +118,14 @@ def _transfer(view: View, stage: VolumeStage, transfer: TransferFunction) -> Non
     for k, (value, red, green, blue, opacity) in enumerate(points):
         imgui.push_id(k)
         imgui.set_next_item_width(0.28 * wide)
-        entered, moved = typed(view, f"##value{k}", value, "%.3g")
-        hint("The value, as a part of the range")
+        entered, moved = typed(view, f"##value{k}", value, "%.3g", "The value, as a part of the range")
         imgui.same_line()
         painted, colour = imgui.color_edit3("##colour", [red, green, blue], imgui.ColorEditFlags_.no_inputs)
         hint("Its colour")
         imgui.same_line()
         imgui.set_next_item_width(0.34 * wide)
-        thinned, seen = slider("##opacity", opacity, 0.0, 1.0, "%.2f")
-        hint("Its opacity")
-        if entered or painted or thinned:
+        seen = slider("##opacity", opacity, 0.0, 1.0, "%.2f", "Its opacity")
+        if entered or painted or seen != opacity:
             points[k] = [moved, *colour, seen]
         imgui.same_line()
         removed = imgui.button("x") and len(points) > 2

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from typing import TypeVar
 
 from imgui_bundle import imgui
 
@@ -15,6 +16,9 @@ from supple.viewer.panels.view import View
 LABEL = 104.0  # logical pixels of the labels before fields
 _RESTING = int(imgui.HoveredFlags_.delay_short | imgui.HoveredFlags_.allow_when_disabled)
 REST = -1e-3  # the width of what takes the rest of a line
+PERCENT = "%.0f %%"
+"""The format of a slider whose values are fractions."""
+T = TypeVar("T")
 FOLDED = ("Face", "Straighten", "Folds and border", "Accuracy", "History")
 """The sections that are folded in the first window."""
 
@@ -40,8 +44,7 @@ def label(text: str, tip: str = "", picture: Callable[[], None] | None = None) -
     """Draw a label before a field, which takes the rest of the line."""
     imgui.align_text_to_frame_padding()
     imgui.text(text)
-    if tip:
-        hint(tip, picture)
+    hint(tip, picture)
     imgui.same_line(LABEL)
     imgui.set_next_item_width(REST)
 
@@ -111,10 +114,35 @@ def progress(task: Task) -> bool:
     return bool(imgui.button("Cancel", (REST, 0)))
 
 
+def _labelled(name: str, tip: str, picture: Callable[[], None] | None = None) -> str:
+    """Draw the label of a field whose name is no mere identifier, as ##value; return its identifier."""
+    if name.startswith("##"):
+        return name
+    label(name, tip, picture)
+    return f"##{name.lower()}"
+
+
+def choice(name: str, now: T, options: Mapping[T, str], tip: str = "") -> T:
+    """Draw a list to choose from, by values and their texts; return what is chosen."""
+    name, values = _labelled(name, tip), list(options)
+    changed, index = imgui.combo(name, values.index(now) if now in options else -1, list(options.values()))
+    hint(tip)
+    return values[index] if changed else now
+
+
 def slider(
-    name: str, value: float, low: float, high: float, form: str, *, logarithmic: bool = False
-) -> tuple[bool, float]:
-    """Draw a field that is full up to its value; return whether it was changed, and the value."""
+    name: str,
+    value: float,
+    low: float,
+    high: float,
+    form: str = PERCENT,
+    tip: str = "",
+    picture: Callable[[], None] | None = None,
+    *,
+    logarithmic: bool = False,
+) -> float:
+    """Draw a field that is full up to its value; return the value, which is within the limits once it is changed."""
+    name, unit = _labelled(name, tip, picture), 100.0 if form == PERCENT else 1.0
     at, wide = imgui.get_cursor_screen_pos(), imgui.calc_item_width()
     place = math.log if logarithmic else float
     part = (place(min(max(value, low), high)) - place(low)) / max(place(high) - place(low), 1e-30)
@@ -127,9 +155,10 @@ def slider(
     for shade in (imgui.Col_.frame_bg_hovered, imgui.Col_.frame_bg_active):
         imgui.push_style_color(shade, (1.0, 1.0, 1.0, 0.06))
     flags = imgui.SliderFlags_.logarithmic if logarithmic else imgui.SliderFlags_.none
-    changed, value = imgui.slider_float(name, value, low, high, form, flags)
+    changed, now = imgui.slider_float(name, unit * value, unit * low, unit * high, form, flags)
     imgui.pop_style_color(5)
-    return changed, value
+    hint(tip, picture)
+    return min(max(now / unit, low), high) if changed else value
 
 
 def listing(name: str, count: int, most: int, row: float) -> None:
@@ -139,18 +168,20 @@ def listing(name: str, count: int, most: int, row: float) -> None:
     imgui.begin_child(name, (0, height), imgui.ChildFlags_.frame_style)
 
 
-def typed(view: View, name: str, value: float, form: str) -> tuple[bool, float]:
+def typed(view: View, name: str, value: float, form: str, tip: str = "") -> tuple[bool, float]:
     """Draw a field for a number; return whether it is entered, by Enter or by leaving it, and the number."""
+    name = _labelled(name, tip)
     changed, now = imgui.input_float(name, value, 0.0, 0.0, form)
     if changed:
         view.typed[name] = now
     over = imgui.is_item_deactivated_after_edit() and name in view.typed
+    hint(tip)
     return over, view.typed.pop(name) if over else value
 
 
 def hint(text: str | Callable[[], str], picture: Callable[[], None] | None = None) -> None:
     """Show a hint on the last item, if the pointer rests on it; functions are called, and draw below it, only then."""
-    if imgui.is_item_hovered(_RESTING):
+    if text and imgui.is_item_hovered(_RESTING):
         imgui.begin_tooltip()
         imgui.push_text_wrap_pos(320.0)
         imgui.text(text if isinstance(text, str) else text())

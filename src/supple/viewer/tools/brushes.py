@@ -37,15 +37,15 @@ def pans(event: Event) -> bool:
 class ImageTools(Tools[Viewport]):
     """The tools of an image: a left drag pulls the point under the pointer.
 
-    The canvas has a width and a height in logical pixels; the ratio is that of physical to logical pixels. The image is
-    shown turned, as a `Viewport` does it; points, strokes and the brush's radius are those of the stored one.
+    The canvas has a width and a height in logical pixels. The image is shown turned, as a `Viewport` does it; points,
+    strokes and the brush's radius are those of the stored one.
     """
 
     lacks = frozenset[Tool]()
 
-    def __init__(self, document: Document, canvas_size: Pair, pixel_ratio: float = 1.0, turn: Turn = UPRIGHT) -> None:
+    def __init__(self, document: Document, canvas_size: Pair, turn: Turn = UPRIGHT) -> None:
         height, width = document.shape[-2:]
-        super().__init__(document, Viewport((width, height), canvas_size, pixel_ratio, turn))
+        super().__init__(document, Viewport((width, height), canvas_size, turn=turn))
         a, b, c, d = turn
         self.stretch, self.handed = self.view.stretch, math.copysign(1.0, a * d - b * c)
         if not a:  # the axis that is shown from left to right
@@ -132,7 +132,7 @@ class ImageTools(Tools[Viewport]):
             return document.dragging and document.commit()
         if line is not None and math.dist(*line) >= LEAST:
             known = document.state.rest.straighten or Straighten()
-            document.set_straighten(known.levelled(*(self.view.to_image(*end) for end in line)))
+            document.set_rest(straighten=known.levelled(*(self.view.to_image(*end) for end in line)))
         return super()._released()
 
     @property
@@ -231,10 +231,9 @@ class VideoTools(ImageTools):
         document: Document,
         playback: Playback,
         canvas_size: Pair,
-        pixel_ratio: float = 1.0,
         turn: Turn = UPRIGHT,
     ) -> None:
-        super().__init__(document, canvas_size, pixel_ratio, turn)
+        super().__init__(document, canvas_size, turn)
         self.playback = playback
         self._frame = 0  # displayed at the start of the drag
 

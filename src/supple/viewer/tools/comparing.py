@@ -18,7 +18,7 @@ MODES = {
 }
 """The ways to compare, and what they show."""
 SHARES = {
-    "blend": ("Share", "How much of the fixed volume is seen", 0.0, 100.0, "%.0f %%"),
+    "blend": ("Share", "How much of the fixed volume is seen", 0.0, 1.0, "%.0f %%"),
     "checkerboard": ("Squares", "The side of a square", 2.0, 100.0, "%.0f mm"),
     "difference": ("Contrast", "What a difference is multiplied by", 0.5, 8.0, "\u00d7 %.1f"),
 }
@@ -29,10 +29,10 @@ SHARES = {
 class Comparison:
     """How two volumes are compared."""
 
-    window: tuple[float, float]  # the values of the fixed one that are black and white
+    window: tuple[float, float]  # the values of the fixed one that are black and white at first
     mode: str = "beside"  # one of `MODES`
     shares: dict[str, float] = field(  # those of `SHARES`
-        default_factory=lambda: {"blend": 50.0, "checkerboard": 20.0, "difference": 1.0}
+        default_factory=lambda: {"blend": 0.5, "checkerboard": 20.0, "difference": 1.0}
     )
 
     @property
@@ -43,7 +43,7 @@ class Comparison:
     @property
     def look(self) -> tuple[object, ...]:
         """All that a picture of both depends on."""
-        return self.window, self.mode, self.shares.get(self.mode)
+        return self.mode, self.shares.get(self.mode)
 
     def turn(self) -> None:
         """Go on to the next mode."""
@@ -57,7 +57,7 @@ class Comparison:
         share, made = self.shares.get(self.mode, 0.0), bent.copy()
         one, other = (each[..., :3].astype(np.float32) for each in (bent, fixed))
         if self.mode == "blend":
-            made[..., :3] = np.rint(one + (other - one) * (share / 100))
+            made[..., :3] = np.rint(one + (other - one) * share)
         elif self.mode == "colours":
             made[..., 1] = fixed[..., 1]
         elif self.mode == "checkerboard":

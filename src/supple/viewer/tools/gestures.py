@@ -108,9 +108,9 @@ class Tools(Drawing, Generic[V]):
             self._refused = str(error)
             return True
 
-    def press(self, key: str) -> None:
+    def press(self, key: str, *modifiers: str) -> None:
         """Process a key."""
-        self.handle({"event_type": "key_down", "key": key})
+        self.handle({"event_type": "key_down", "key": key, "modifiers": modifiers})
 
     def abandon(self) -> bool:
         """Undo the current drag; return whether there was any."""
@@ -195,13 +195,10 @@ class Tools(Drawing, Generic[V]):
             return True
         button = int(event.get("button", 0))
         how = self._leads(event)
-        if how is None and button == _LEFT and self.knob is not None and math.dist(self.knob, (x, y)) <= KNOB:
-            how = _CUT
-        elif how is None and button == _LEFT and self.grip is not None and math.dist(self.grip, (x, y)) <= KNOB:
-            how = _LINE
-        elif how is None and button == _LEFT and self.tilt is not None and math.dist(self.tilt, (x, y)) <= KNOB:
-            how = _TILT
-        elif how is None and button == _LEFT:
+        if how is None and button == _LEFT:
+            knobs = {_CUT: self.knob, _LINE: self.grip, _TILT: self.tilt}
+            how = next((what for what, at in knobs.items() if at and math.dist(at, (x, y)) <= KNOB), None)
+        if how is None and button == _LEFT:
             self._gesture = self._taken(x, y)
             self._press(self._gesture, event)
             if self._gesture is not None and self._gesture.new and not self._gesture.masks:

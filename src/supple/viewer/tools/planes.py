@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from itertools import pairwise, permutations, product
+from itertools import pairwise, product
 from typing import Self
 
 import numpy as np
 
-from supple.space.geometry import SIDES, Floats, Geometry, Grid
+from supple.space.geometry import PLANES, SIDES, Floats, Geometry, Grid, plane_axes
 from supple.viewer.tools.drawing import Pair, Place
 
 Point = tuple[float, float, float]
@@ -20,10 +20,6 @@ FIXED = 4
 GAP = 2.0  # logical pixels between two views
 _MARGIN = 0.9  # of a view: a plane that fits leaves room for letters
 _NEAREST, _FARTHEST = 40.0, 0.5  # zoom, relative to planes that fit
-# Each plane as radiologists see it, by the axes of LPS: its normal, the one to the right, and the one down. Of -1 - k,
-# the negative of axis k.
-_SEEN = (("axial", 2, 0, 1), ("coronal", 1, 0, ~2), ("sagittal", 0, 1, ~2))
-_FORWARD = (1, -1, 1)  # the wheel, turned forward, leads to the left, to the front and to the head
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,34 +46,19 @@ class Plane:
         return x, y, z
 
 
-def _order(geometry: Geometry) -> tuple[int, ...]:
-    """Return, for each axis of LPS, the axis of the voxels that is nearest to it."""
-    turned = np.abs(geometry.direction)
-    return max(permutations(range(3)), key=lambda axes: sum(turned[k, axis] for k, axis in enumerate(axes)))
-
-
 def planes_of(geometry: Geometry) -> tuple[Plane, ...]:
     """Return the axial, the coronal and the sagittal plane of a volume: along its voxels, whichever are nearest."""
-    turned, placed = geometry.direction, geometry.convention != "array"
-    order = _order(geometry)
-
-    def along(way: int) -> tuple[int, int, str, str]:
-        """Return the voxels' axis of an axis of LPS, or of its negative; its sign; and what is at both its ends."""
-        k, wanted = (way, 1) if way >= 0 else (~way, -1)
-        axis, sides = order[k], SIDES[k]
-        sign = wanted if turned[k, axis] >= 0 else -wanted
+    made, placed = [], geometry.convention != "array"
+    for name, (_, right, below) in PLANES.items():
+        (axis, across, down), (forward, one, other) = plane_axes(geometry.direction, name)
         if placed:
-            first, last = sides[::-wanted]
+            sides = (*SIDES[right[0]][:: -right[1]], *SIDES[below[0]][:: -below[1]])
         else:
-            first, last = (f"-{'xyz'[axis]}", f"+{'xyz'[axis]}")[::sign]
-        return axis, sign, first, last
-
-    made = []
-    for name, normal, right, below in _SEEN:
-        (across, one, left, beyond), (down, other, top, bottom) = along(right), along(below)
-        axis, sign, _, _ = along(normal)
-        told = name if placed else "".join("xyz"[k] for k in sorted((across, down)))
-        made.append(Plane(told, axis, across, down, (one, other), sign * _FORWARD[normal], (left, beyond, top, bottom)))
+            ends = (across, one), (down, other)
+            sides = tuple(f"{sign}{'xyz'[axis]}" for axis, way in ends for sign in "-+"[::way])
+            name = "".join("xyz"[k] for k in sorted((across, down)))
+        left, beyond, top, bottom = sides
+        made.append(Plane(name, axis, across, down, (one, other), forward, (left, beyond, top, bottom)))
     return tuple(made)
 
 
@@ -103,7 +84,8 @@ class Upright:
     def of(cls, geometry: Geometry, sizes: tuple[int, ...]) -> Upright:
         """Return the smallest around a volume, with the spacing of its voxels."""
         turned = np.zeros((3, 3))
-        for k, axis in enumerate(_order(geometry)):
+        for name, ((k, _), *_) in PLANES.items():
+            axis = plane_axes(geometry.direction, name)[0][0]
             turned[k, axis] = np.copysign(1.0, geometry.direction[k, axis])
         corners = geometry.to_lps(list(product(*[(-0.5, n - 0.5) for n in sizes]))) @ turned / geometry.spacing
         low, counts = corners.min(axis=0), np.maximum(np.ceil(np.ptp(corners, axis=0) - 1e-6), 1).astype(int)
@@ -190,6 +172,7 @@ class Sight:
 
     cross: Point  # the crosshair, in voxels, x first: planes go through the voxel that is nearest
     window: Pair  # the values that are black and white
+    fixed: Pair  # and of a fixed volume
     middle: Point  # the voxel in the middle of the views
     zoom: float = 1.0  # relative to the size at which all planes fit
     large: int | None = None  # the number of the view that has the whole canvas
@@ -217,11 +200,12 @@ class Sight:
         kept = tuple(self.middle[k] if k == axis else middle[k] for k in range(3))
         return replace(self, middle=_within(kept, pane.sizes if pane.upright is None else pane.upright.grid.sizes))
 
-    def levelled(self, wider: float, brighter: float) -> Self:
-        """Return the sight with a window wider by a factor, and brighter by a fraction of its width."""
-        low, high = self.window
+    def levelled(self, wider: float, brighter: float, *, fixed: bool = False) -> Self:
+        """Return the sight with a window, perhaps that of the fixed volume, wider and brighter by parts."""
+        low, high = self.fixed if fixed else self.window
         level, width = 0.5 * (low + high) - brighter * (high - low), (high - low) * wider
-        return replace(self, window=(level - 0.5 * width, level + 0.5 * width))
+        made = level - 0.5 * width, level + 0.5 * width
+        return replace(self, fixed=made) if fixed else replace(self, window=made)
 
 
 def _within(point: tuple[float, ...], sizes: tuple[int, ...]) -> Point:

@@ -6,27 +6,23 @@ import bisect
 import math
 from collections.abc import Sequence
 
-from supple.space.checks import LONGEST_AXIS, integer, number
-
 _EARLY = 1e-6  # of a frame: tolerance of early times, against frames that are late by a whole one
 
 
 class Playback:
     """A clip that plays or is paused.
 
-    It is real-time: late frames are dropped, and counted. The caller passes the time. Without a constant rate, frames
+    It is real-time: late frames are dropped. The caller passes the time. Without a constant rate, frames
     have start times in seconds.
     """
 
     def __init__(self, count: int, rate: float, starts: Sequence[float] = ()) -> None:
-        self.count = integer("count", count, "a number of frames above 0", 1, LONGEST_AXIS)
-        self.rate = number("rate", rate, "a number of frames a second above 0", 1e-6, 1e6)
+        self.count, self.rate = count, rate
         self._starts = list(starts)
         if self._starts:  # the last one has the duration of the one before
             self._starts.append(2 * self._starts[-1] - self._starts[-2] if self.count > 1 else 1 / self.rate)
         self.playing = False
         self.loop = False
-        self.dropped = 0  # the number of dropped frames
         self.first, self.last = 0, self.count - 1
         """The in point and the out point of the played part, both included."""
         self.frame = 0  # the displayed frame
@@ -116,7 +112,6 @@ class Playback:
         advanced = max(self._passed(now - begun, start), self._advanced)
         if not self.loop:
             advanced = min(advanced, self.last - start)
-        self.dropped += max(advanced - self._advanced - 1, 0)
         self._advanced = advanced
         self.frame = self.first + (start - self.first + advanced) % (self.last - self.first + 1)
         if not self.loop and self.frame == self.last:

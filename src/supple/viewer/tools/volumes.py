@@ -24,6 +24,7 @@ from supple.viewer.tools.planes import FIXED, RENDERED, Pane, Sight, Upright, fi
 
 BUTTON = 22.0  # logical pixels of the button that enlarges a view, in its upper right corner
 _CUBE, _CROSS, _SLIDE, _LEVEL = "cube", "cross", "slide", "level"
+_MOST_PICKS = 500
 _SLOW = 200.0  # logical pixels of a right drag that widen the window by a factor of e, or move it by its width
 _LEFT, _RIGHT = 1, 2
 _KEYS = {"1": 0, "2": 1, "3": 2, "4": RENDERED}
@@ -56,20 +57,18 @@ class VolumeTools(Tools[Camera]):
         self.stage = orbit.Stage(document.shape, geometry, (1, 1), points)
         self.corner: Pair = (0.0, 0.0)  # the upper left corner of the rendering, on the canvas
         self._picked: Pick | None = None
-        self._surfaces: tuple[object, dict[Pair, tuple[float, ...] | None]] = None, {}
-        self._under: tuple[tuple[object, ...], Pick | None] | None = None
+        self._picks: tuple[object, dict[Pair, Pick | None]] = None, {}
         self.upright: Upright | None = None  # where planes are along the axes of the patient
         self.geometry, self.planes = geometry, planes_of(geometry)
         self.sizes = tuple(reversed(document.shape))
         self.across = self.planes[2].axis  # to the left and right of the patient
         self.middle = 0.5 * (self.sizes[self.across] - 1)
         x, y, z = ((n - 1) / 2 for n in self.sizes)
-        self.sight = self._first = Sight((x, y, z), window, (x, y, z))
+        self.sight = self._first = Sight((x, y, z), window, comparison.window if comparison else window, (x, y, z))
         self.active = RENDERED
         """The view under the pointer; during a gesture, that in which it began."""
         self.places: dict[int, Place] = {}
         self._whole, self._top, self._base = canvas_size, 0.0, self.sight
-        self._other: Pair | None = None  # the window of the fixed volume, as `_base` has that of the other
         self._arrange()
 
     def _arrange(self) -> None:
@@ -129,34 +128,29 @@ class VolumeTools(Tools[Camera]):
 
     @property
     def under(self) -> Pick | None:
-        """The point of the rendering under the pointer; a ray is cast after a change of pointer, camera or strokes."""
-        if self.active != RENDERED:
+        """The point of the rendering under the pointer."""
+        if self.active != RENDERED or self.pointer is None or self.side is not None:
             return None
-        key = (self.pointer, self.view, self.stage.size, self.document.revision)
-        if self._under is None or self._under[0] != key:
-            at = None if self.side is not None else self.pointer
-            self._under = key, None if at is None else self.pick(*self._within(*at))
-        return self._under[1]
+        return self.surface(self.pointer)
 
     @property
     def busy(self) -> bool:
         """Whether a button is down."""
         return self._gesture is not None
 
-    def surface(self, place: Pair) -> tuple[float, ...] | None:
-        """Return the voxel that is rendered at a position of the canvas; the last ones are kept."""
+    def surface(self, place: Pair) -> Pick | None:
+        """Return what is rendered at a position of the canvas; rays are cast once for a camera and strokes."""
         key = self.view, self.stage.size, self.document.revision
-        if self._surfaces[0] != key:
-            self._surfaces = key, {}
-        known = self._surfaces[1]
+        if self._picks[0] != key or len(self._picks[1]) > _MOST_PICKS:
+            self._picks = key, {}
+        known = self._picks[1]
         if place not in known:
-            found = self.pick(*self._within(*place))
-            known[place] = None if found is None else found.index
+            known[place] = self.pick(*self._within(*place))
         return known[place]
 
     def forget(self) -> None:
         """Cast rays again, after a change of the image."""
-        self._under, self._surfaces = None, (None, {})
+        self._picks = None, {}
 
     @property
     def cube(self) -> tuple[orbit.Face, ...]:
@@ -224,8 +218,6 @@ class VolumeTools(Tools[Camera]):
         """Undo the current drag; return whether there was any."""
         if self._gesture is not None:
             self.sight = self._base
-            if self.comparison is not None and self._other is not None:
-                self.comparison.window = self._other
         elif self.marking and self.marks is not None:
             self.marking = False
             self.marks.drop()
@@ -249,7 +241,6 @@ class VolumeTools(Tools[Camera]):
                 self.enlarge(self.active if self.sight.large is None else None)
                 return True
             self._base = self.sight
-            self._other = None if self.comparison is None else self.comparison.window
             if self.marking and event.get("button") == _LEFT and not shifted(event):
                 self.pointer = place
                 return self._mark()
@@ -281,11 +272,8 @@ class VolumeTools(Tools[Camera]):
         gesture.now = place
         dx, dy = (b - a for a, b in zip(gesture.start, place, strict=True))
         if gesture.how == _LEVEL:
-            how = math.exp(min(max(dx / _SLOW, -9.0), 9.0)), -dy / _SLOW
-            if self.comparison is not None and self._other is not None and self.active >= FIXED:
-                self.comparison.window = replace(self._base, window=self._other).levelled(*how).window
-            else:
-                self.sight = self._base.levelled(*how)
+            wider, brighter = math.exp(min(max(dx / _SLOW, -9.0), 9.0)), -dy / _SLOW
+            self.sight = self._base.levelled(wider, brighter, fixed=self.active >= FIXED)
         elif gesture.how == _SLIDE:
             self.sight = self._base.slid(replace(self.pane(self.active), middle=self._base.middle), dx, dy)
         else:

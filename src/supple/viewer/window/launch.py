@@ -29,7 +29,6 @@ from supple.space.checks import integer, length, point
 from supple.space.geometry import Geometry, Grid
 from supple.strokes import Recipe, fit_recipe
 from supple.viewer.document.editing import Document
-from supple.viewer.document.landmarks import Landmarks
 from supple.viewer.panels.slices import first_window
 from supple.viewer.panels.stages import FrameCache, ImageStage, VideoStage, VolumeStage
 from supple.viewer.panels.transforms import shown as as_pixels
@@ -63,10 +62,10 @@ def stage_of(gpu: Gpu, source: Source, options: ViewOptions = _USUAL) -> ImageSt
     if isinstance(source, str | os.PathLike):
         name = shown(source)
         if Job(source, "", Recipe(), volume=options.volume, maps=options.maps).medium.kind == "volume":
-            _suits(name, options, volume=True)
+            _suits(name, options, "volume")
             return volume_stage(gpu, source, options)
         moves = _moves(source)
-        _suits(name, options, moves=moves)
+        _suits(name, options, "clip" if moves else "picture")
         if moves:
             if options.maps:
                 refuse_maps(source)
@@ -83,7 +82,7 @@ def stage_of(gpu: Gpu, source: Source, options: ViewOptions = _USUAL) -> ImageSt
                 "what is shown is an array of numbers, of a picture (H, W) or (H, W, C) or of a volume (Z, H, W), or a "
                 f"file, of a clip too: found {array.dtype} {array.shape}"
             )
-        _suits(name, options)
+        _suits(name, options, "array")
         if array.ndim == 3 and array.shape[2] > 4:
             x, y, z = (length("spacing", v) for v in point("spacing", options.spacing, (3,)))
             volume = Volume(array, Geometry(spacing=(x, y, z)), name, "array")
@@ -103,15 +102,17 @@ def _moves(source: str | os.PathLike[str]) -> bool:
     return kind != "volume" and medium.is_animated(source)
 
 
-def _suits(name: str, options: ViewOptions, *, moves: bool = False, volume: bool = False) -> None:
-    """Raise SuppleError for a time scale without time, and for options of volume files without one."""
-    if options.volume != PLAIN and not volume:
-        raise SuppleError(f"{name} is no file of a volume, and what was asked of it is for those: leave that out")
-    given = next((each for each in OPTIONS if getattr(options, each) is not None), None)
-    if given is not None and not volume:
-        raise SuppleError(f"{argument(given)} is for files of volumes, and {name} is none: leave it out")
-    if options.time_scale != 1.0 and not moves:
-        raise SuppleError(f"{argument('time_scale')} is for clips, and {name} is none: leave it out")
+_ONLY = {"time_scale": "clip", "frame": "clip", "volume": "volume", "points": "volume"} | dict.fromkeys(
+    OPTIONS, "volume"
+)
+"""Options for files of one kind."""
+
+
+def _suits(name: str, options: ViewOptions, kind: str) -> None:
+    """Raise SuppleError for options that are for files of another kind."""
+    for option, only in _ONLY.items():
+        if only != kind and getattr(options, option) != getattr(_USUAL, option):
+            raise SuppleError(f"{argument(option)} is for files of {only}s, and {name} is none: leave it out")
 
 
 def tools_of(stage: ImageStage | VolumeStage, document: Document, size: Pair) -> ImageTools | VolumeTools:
@@ -159,27 +160,15 @@ def opened(
         size, in_time = size[:2], False
     if not in_time or options.fit == "pixels":  # the length of a frame would have to be scaled
         recipe = fit_recipe(recipe, size, options.fit, stage.name)
-    landmarks = _landmarks(stage, options)
+    landmarks = landmarks_of(stage, options) if isinstance(stage, VolumeStage) else None
     hold = int(stage.kind == "video" and any(parts_of(stage.shape[0], 1)))  # where frames are left to fade in
     document = Document(stage.shape, stage.spacing, recipe, kind=stage.kind, geometry=geometry, hold=hold)
     tools = tools_of(stage, document, canvas.get_logical_size())
-    if options.frame is not None:
-        if not isinstance(tools, VideoTools):
-            raise SuppleError(f"{argument('frame')} is for clips, and {stage.name} is none: leave it out")
+    if options.frame is not None and isinstance(tools, VideoTools):
         last = tools.playback.count - 1
         tools.playback.seek(integer("frame", options.frame, f"from 0 to {last}", 0, last))
     path = Path(source) if isinstance(source, str | os.PathLike) else None
     return Window(stage, document, tools, canvas, gpu, path, options.export, loop.call_later, landmarks)
-
-
-def _landmarks(stage: ImageStage | VolumeStage, options: ViewOptions) -> Landmarks | None:
-    if options.points is None:
-        if options.convention is not None and options.fixed_points is None:
-            raise SuppleError("the convention is that of points, and there are none: give a file of them")
-        return landmarks_of(stage, options) if isinstance(stage, VolumeStage) else None
-    if not isinstance(stage, VolumeStage):
-        raise SuppleError(f"points are shown in volumes, and {stage.name} is none: leave them out")
-    return landmarks_of(stage, options)
 
 
 def _gpu() -> Gpu:

@@ -42,6 +42,8 @@ class ViewOptions:
             raise SuppleError("in the window, strokes come after fields and affine maps: give these first")
         if self.fixed_points is not None and self.fixed is None:
             raise SuppleError(f"{argument('fixed_points')} are those of a fixed volume, and there is none: name it")
+        if self.convention is not None and self.points is None and self.fixed_points is None:
+            raise SuppleError("the convention is that of points, and there are none: give a file of them")
 
     @property
     def export(self) -> dict[str, Any]:

@@ -304,7 +304,6 @@ class Window(View):
         self.commands.tick()  # first: autosave before any error
         self._title()
         begun = time.perf_counter()
-        self._frames.append(begun)
         if self.painter.ready:
             self.ready_at = begun
         tools, (width, height) = self.tools, self.area
@@ -372,7 +371,6 @@ class Window(View):
             self._fill(shot)
         commands = self.commands
         busy = (commands.export is not None and not commands.export.done) or commands.following is not None
-        busy |= commands.beside is not None
         if busy or (commands.autosave is not None and commands.autosave.due):
             self._waking.later(0.25)  # to show progress, and to autosave
         self._waking.answer()
@@ -412,7 +410,6 @@ class Window(View):
         if self._closed:
             return
         self._closed = True
-        self.certifier.close()
         self.commands.end()
         if isinstance(self.stage, VideoStage):
             self.stage.film.close()
