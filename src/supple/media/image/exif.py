@@ -57,7 +57,7 @@ class _Form:
     def number(self, data: bytes) -> int:
         return int.from_bytes(data, self.order)
 
-    def bytes(self, number: int, size: int) -> bytes:
+    def stored(self, number: int, size: int) -> bytes:
         return number.to_bytes(size, self.order)
 
     def swapped(self, kind: int, data: bytes) -> bytes:
@@ -196,7 +196,7 @@ def into_tiff(path: PathLike, added: Folder, changed: Folder, dropped: Collectio
             file.seek(end)
             file.write(bytes(place - end) + data)
             file.seek(link)
-            file.write(form.bytes(place, form.word))
+            file.write(form.stored(place, form.word))
             added, end = {}, place + len(data)
             link, at = place + form.count + form.step * len(folder), form.number(following)
 
@@ -208,13 +208,13 @@ def _parsed(block: bytes) -> tuple[Folder, _Form, bool]:
 
 def _block(found: Folder, source: _Form) -> bytes:
     form = _Form(source.order)  # unchanged, since makers' notes may depend on it
-    head = (b"II" if form.order == "little" else b"MM") + form.bytes(42, 2) + form.bytes(8, 4)
+    head = (b"II" if form.order == "little" else b"MM") + form.stored(42, 2) + form.stored(8, 4)
     return _PREFIX + head + _laid(found, 8, form)
 
 
 def _laid(folder: Folder, place: int, form: _Form, following: bytes = b"") -> bytes:
     """Return the bytes of a folder at `place`, followed by its values."""
-    table = bytearray(form.bytes(len(folder), form.count))
+    table = bytearray(form.stored(len(folder), form.count))
     rest = bytearray()
     behind = place + form.count + form.step * len(folder) + form.word
     behind += -behind % form.word
@@ -229,10 +229,10 @@ def _laid(folder: Folder, place: int, form: _Form, following: bytes = b"") -> by
             kind, count = (_LONG8 if form.big else 4), 1
             data = _laid(item, behind + len(rest), form)
         if isinstance(item, dict) or len(data) > form.word:
-            inline = form.bytes(behind + len(rest), form.word)
+            inline = form.stored(behind + len(rest), form.word)
             rest += data + bytes(-len(data) % form.word)
         else:
             inline = data.ljust(form.word, b"\0")
-        table += form.bytes(tag, 2) + form.bytes(kind, 2) + form.bytes(count, form.word) + inline
+        table += form.stored(tag, 2) + form.stored(kind, 2) + form.stored(count, form.word) + inline
     table += following or bytes(form.word)
     return bytes(table + bytes(behind - place - len(table)) + rest)
