@@ -201,11 +201,11 @@ class Page:
         form = self._form
         for tag in values.keys() & self._entries.keys():
             at = self._entries[tag]
-            entry = form.bytes(tag, 2) + form.bytes(4, 2) + form.bytes(1, form.word) + form.bytes(values[tag], 4)
+            entry = form.stored(tag, 2) + form.stored(4, 2) + form.stored(1, form.word) + form.stored(values[tag], 4)
             data[at : at + form.step] = entry.ljust(form.step, b"\0")
         if _EXTRA in self._entries:  # named as the one before it: libtiff ignores the second of two
             at = self._entries[_EXTRA]
-            data[at : at + 2] = form.bytes(max(tag for tag in self._entries if tag < _EXTRA), 2)
+            data[at : at + 2] = form.stored(max(tag for tag in self._entries if tag < _EXTRA), 2)
         return data
 
     def decoded(self, read: Callable[[], Array]) -> Array:
