@@ -126,7 +126,7 @@ def warp(
     from supple.engine.sampling import FINEST
     from supple.files.jobs import Job
     from supple.files.recipes import check_recipe_name, write_recipe
-    from supple.media.files import is_store
+    from supple.media.files import is_store, same_file
     from supple.media.medium import holds_volumes
 
     if len(paths) < 2:
@@ -174,6 +174,8 @@ def warp(
         raise SuppleError("cannot write '': name a file, or a folder, last")
     if save_recipe is not None:
         check_recipe_name(save_recipe, force=options.force)
+        if any(same_file(save_recipe, path) for path in paths):
+            raise SuppleError(f"--save-recipe {save_recipe} is a file that is bent or written: choose another name")
     if any(map(is_store, paths)):
         from supple.cli.stores import warp_stored
 
