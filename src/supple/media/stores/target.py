@@ -131,7 +131,13 @@ def _claim(place: Place, job: str, force: bool) -> tuple[Place, bool]:
     folder = site.folder
     if folder is not None:
         _hold(place, folder)
-        site, begun = _look(place, job, force)  # once more, since another process may have had it until now
+        try:  # once more, since another process may have had it until now
+            site, begun = _look(place, job, force)
+        except SuppleError:
+            with contextlib.suppress(OSError):  # it is not empty
+                os.unlink(folder / LOCK)
+                os.rmdir(folder)
+            raise
     if not begun:
         store = site.store(read_only=False)
         _mark(store, "")  # if clearing is interrupted, what is left is of no job
@@ -178,11 +184,15 @@ def _hold(place: Place, folder: Path) -> None:
     """Make a folder, and lock it within `holding`; SuppleError if another process has locked it."""
     folder.mkdir(exist_ok=True)
     stack = _HOLDS.get()
-    if stack is not None and sys.platform != "win32":  # where a folder with an open file cannot be renamed
-        if (file := locked(folder / LOCK)) is None:
-            what = "it is being written by another process"
-            raise place.unwritable(what, "wait until that has ended, or choose another name")
-        stack.enter_context(file)
+    while stack is not None and sys.platform != "win32":  # where a folder with an open file cannot be renamed
+        with contextlib.suppress(FileNotFoundError):  # another process has just finished: that folder has its name
+            if (file := locked(folder / LOCK)) is None:
+                what = "it is being written by another process"
+                raise place.unwritable(what, "wait until that has ended, or choose another name")
+            stack.enter_context(file)
+            if os.path.samestat(os.fstat(file.fileno()), os.stat(folder / LOCK)):
+                return
+        folder.mkdir(exist_ok=True)
 
 
 def _clear(site: Place, store: Any) -> None:
