@@ -17,7 +17,7 @@ struct Sampled {
     bool zero;              // beyond the grid, there is no displacement
     double margin;          // of the grid, beyond `first` and `last`
     double to_index[3][4];  // A and b
-    double to_place[3][3];  // A⁻¹
+    double to_place[3][4];  // the same of its inverse
     double vectors[3][3];   // from a value to a displacement of the index
     bool diagonal;          // of `vectors`: there is nothing else
 };

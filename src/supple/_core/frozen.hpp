@@ -25,6 +25,23 @@ struct MaskBounds {
     bool is_level() const { return all[1] == 0 && all[2] == 0; }
 };
 
+// Replace 255 by the distance to the nearest 0 of a grid, the largest of those along the axes, or leave it if that is
+// farther: by a sweep from either end, each from the finished neighbours.
+inline void to_distances(const int* n, uint8_t* out) {
+    const int64_t total = (int64_t)n[0] * n[1] * n[2];
+    for (int way : {1, -1})
+        for (int64_t i = 0; i < total; i++) {
+            const int64_t at = way > 0 ? i : total - 1 - i;
+            const int a = int(at % n[0]), b = int(at / n[0] % n[1]), c = int(at / n[0] / n[1]);
+            for (int other = 0; other < 13 && out[at] > 1; other++) {  // of 27, in the order of memory
+                const int x = a + way * (other % 3 - 1), y = b + way * (other / 3 % 3 - 1),
+                          z = c + way * (other / 9 - 1);
+                if (x < 0 || x >= n[0] || y < 0 || y >= n[1] || z < 0 || z >= n[2]) continue;
+                out[at] = (uint8_t)std::min<int>(out[at], out[((int64_t)z * n[1] + y) * n[0] + x] + 1);
+            }
+        }
+}
+
 class Frozen : public Freeze {
 public:
     // Of coefficients (nz, ny, nx), from 0 to 1. Along an axis of several, the outermost four are equal.
@@ -52,8 +69,7 @@ public:
                     if (!found.is_level()) distances[((size_t)z * n[1] + y) * n[0] + x] = 0;
                     if (found.most() == 0) enclose({x, y, z});
                 }
-        measure(1);
-        measure(-1);
+        to_distances(n, distances.data());
         calm = distances.data();
         while (levels.back().bounds.size() > 1) halve();
     }
@@ -254,23 +270,6 @@ private:
             if (i / stride % 4 < left) at[i] = at[i + stride] - at[i];
     }
 
-    // The distance to a cell where m varies, by a sweep: the largest of those along the axes.
-    void measure(int way) {
-        const int* n = size;
-        const int64_t count = (int64_t)distances.size();
-        for (int64_t s = 0; s < count; s++) {
-            const int64_t i = way > 0 ? s : count - 1 - s;
-            const int x = int(i % n[0]), y = int(i / n[0] % n[1]), z = int(i / n[0] / n[1]);
-            for (int dz = -1; dz <= 0; dz++)
-                for (int dy = -1; dy <= (dz < 0 ? 1 : 0); dy++)
-                    for (int dx = -1; dx <= (dz < 0 || dy < 0 ? 1 : -1); dx++) {
-                        const int a = x + way * dx, b = y + way * dy, c = z + way * dz;
-                        if (a < 0 || b < 0 || c < 0 || a >= n[0] || b >= n[1] || c >= n[2]) continue;
-                        const int beside = distances[((size_t)c * n[1] + b) * n[0] + a];
-                        if (beside + 1 < distances[i]) distances[i] = (uint8_t)(beside + 1);
-                    }
-        }
-    }
     void halve() {
         const Level& fine = levels.back();
         Level coarse;

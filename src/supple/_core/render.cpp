@@ -51,9 +51,8 @@ std::array<int64_t, 3> sizes(const A& a) {
     return {(int64_t)a.shape(2), (int64_t)a.shape(1), (int64_t)a.shape(0)};
 }
 
-void make_strokes(Strokes* self, const Doubles& rows, const Doubles& axes, Masking freeze) {
-    const Axes domain = axes_of(axes);
-    new (self) Strokes(domain, strokes_of(rows, domain.data(), freeze));
+void make_strokes(Strokes* self, const Doubles& rows, const AxisRows& axes, Masking freeze) {
+    new (self) Strokes(strokes_of(rows, axes, freeze));
 }
 
 Float4 point_of(const float* at) { return Float4{at[0], at[1], at[2], 0}; }
@@ -215,7 +214,9 @@ void mean_blocks(Samples samples, std::array<int64_t, 3> wide, Array<const float
 
 void brick_distances(Array<const bool, 3> seen, Array<uint8_t, 3> out) {
     if (sizes(seen) != sizes(out)) throw nb::value_error("out must be of the shape of seen");
-    distances(seen.data(), sizes(seen).data(), out.data());
+    for (size_t i = 0; i < seen.size(); i++) out.data()[i] = seen.data()[i] ? 0 : 255;
+    const int n[3] = {(int)seen.shape(2), (int)seen.shape(1), (int)seen.shape(0)};
+    to_distances(n, out.data());
 }
 
 void largest_part(Array<const bool, 3> seen, Array<bool, 3> out) {

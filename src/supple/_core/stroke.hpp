@@ -65,6 +65,14 @@ struct Axis {
     double extent() const { return last - first; }
 };
 
+// The least spacing of D axes.
+template <int D>
+INLINE double finest_of(const Axis* axes) {
+    double finest = axes[0].spacing;
+    for (int d = 1; d < D; d++) finest = least(finest, axes[d].spacing);
+    return finest;
+}
+
 // The nearest coordinate in the domain, along an axis with a fixed border.
 template <class V>
 INLINE V nearest(V x, const Axis& a) {
@@ -217,6 +225,18 @@ struct Jet {
     V mixed[MIXED ? D : 1];
     V smooth2[MIXED ? 2 : 1];
 };
+
+// The jet at x with the columns of I as tangents.
+template <int D, int TANGENTS, bool MIXED = false, class V>
+INLINE Jet<D, TANGENTS, MIXED, V> jet_at(const V* x) {
+    Jet<D, TANGENTS, MIXED, V> jet{};
+    for (int i = 0; i < D; i++) {
+        jet.x[i] = x[i];
+        if constexpr (TANGENTS > 0) jet.t[i][i] = splat<V>(1.0);
+    }
+    if constexpr (MIXED) jet.smooth2[0] = jet.smooth2[1] = splat<V>(1e300);
+    return jet;
+}
 
 // A stroke's part of a jet without mask and border: K, J u of the tangents u, and J n + K''(u₀, u₁).
 template <int D, int TANGENTS, bool MIXED, class V>
@@ -486,6 +506,13 @@ INLINE V times(const V (*t)[D], const V* x, int i) {
     V s = t[0][i] * x[0];
     for (int j = 1; j < D; j++) s += t[j][i] * x[j];
     return s;
+}
+// x ← that matrix times x.
+template <int D, class V>
+INLINE void transform(const V (*t)[D], V* x) {
+    V y[D];
+    for (int i = 0; i < D; i++) y[i] = times<D>(t, x, i);
+    for (int i = 0; i < D; i++) x[i] = y[i];
 }
 
 }  // namespace supple
