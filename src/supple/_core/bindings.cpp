@@ -39,86 +39,66 @@ nb::object forward(const Doubles& table, const AxisRows& rows, const Triples& po
     return nb::make_tuple(first, jacobian ? second : nb::none());
 }
 
-template <int D>
-void invert_points(const Strokes& strokes, const double* targets, size_t count, double tolerance, double* points,
-                   double* residual, double* steps) {
-    const Axis* axes = strokes.axes.data();
-    each_batch(count, [&](size_t start, int n) {
-        Lanes q[D], x[D], e2{};
-        for (int l = 0; l < LANES; l++)
-            for (int d = 0; d < D; d++) q[d][l] = targets[3 * (start + std::min(l, n - 1)) + d];
-        Solution<D, Lanes> found;
-        undo<D>(strokes.chain(), axes, q, tolerance, found);
-        // The residual is measured again, at the returned point.
-        for (int d = 0; d < D; d++) x[d] = found.p[d];
-        apply<D>(strokes.chain(), axes, x);
-        for (int d = 0; d < D; d++) e2 += (x[d] - q[d]) * (x[d] - q[d]);
-        Lanes r = root(e2);
-        for (int l = 0; l < n; l++) {
-            for (int d = 0; d < D; d++) points[3 * (start + l) + d] = found.p[d][l];
-            residual[start + l] = r[l];
-            steps[start + l] = found.steps[l];
-        }
-    });
-}
-
 nb::object inverse(const Doubles& table, const AxisRows& rows, const Triples& targets, int ndim, double tolerance,
                    Masking freeze) {
     const Strokes strokes = strokes_of(table, rows, freeze);
+    const Axis* axes = strokes.axes.data();
     const size_t count = targets.shape(0);
     auto *points = new std::vector<double>(targets.data(), targets.data() + 3 * count),
          *residual = new std::vector<double>(count), *steps = new std::vector<double>(count);
     nb::object made = nb::make_tuple(owned(points, {count, 3}), owned(residual, {count}), owned(steps, {count}));
     const double* from = targets.data();
-    unlocked([&] {
-        auto run = ndim == 2 ? invert_points<2> : invert_points<3>;
-        run(strokes, from, count, tolerance, points->data(), residual->data(), steps->data());
-    });
+    auto run = [&]<int D>() {
+        each_batch(count, [&](size_t start, int n) {
+            Lanes q[D], x[D], e2{};
+            for (int l = 0; l < LANES; l++)
+                for (int d = 0; d < D; d++) q[d][l] = from[3 * (start + std::min(l, n - 1)) + d];
+            Solution<D, Lanes> found;
+            undo<D>(strokes.chain(), axes, q, tolerance, found);
+            // The residual is measured again, at the returned point.
+            for (int d = 0; d < D; d++) x[d] = found.p[d];
+            apply<D>(strokes.chain(), axes, x);
+            for (int d = 0; d < D; d++) e2 += (x[d] - q[d]) * (x[d] - q[d]);
+            Lanes r = root(e2);
+            for (int l = 0; l < n; l++) {
+                for (int d = 0; d < D; d++) (*points)[3 * (start + l) + d] = found.p[d][l];
+                (*residual)[start + l] = r[l];
+                (*steps)[start + l] = found.steps[l];
+            }
+        });
+    };
+    unlocked([&] { ndim == 2 ? run.template operator()<2>() : run.template operator()<3>(); });
     return made;
 }
 
-typedef nb::ndarray<float, nb::ndim<3>, nb::c_contig, nb::device::cpu> PointMap;
-typedef nb::ndarray<int64_t, nb::ndim<2>, nb::c_contig, nb::device::cpu> Counts;
-typedef nb::ndarray<double, nb::ndim<2>, nb::c_contig, nb::device::cpu> Residuals;
-
-template <int D>
-void invert_row(const Strokes& strokes, double z, int every, const Published& how, int y, int width, float* points,
-                int64_t* counts, double* residual) {
-    const Axes& axes = strokes.axes;
-    for (int x = 0; x < width; x++) {
-        double p[3] = {x * every * axes[0].spacing, y * every * axes[1].spacing, z * axes[2].spacing};
-        int count;
-        residual[x] = invert_as_published<D>(strokes, how, p, count);
-        counts[x] = count;
-        for (int d = 0; d < D; d++) points[D * x + d] = (float)(p[d] / axes[d].spacing);
-    }
-}
-
 void published(const Doubles& table, const AxisRows& rows, double z, int every, double mu, double tolerance, int limit,
-               bool corrected, PointMap points, Counts counts, Residuals residual) {
+               bool corrected, Solid<float> points, Array<int64_t, -1, -1> counts, Array<double, -1, -1> residual) {
     const Strokes strokes = strokes_of(table, rows, std::nullopt);
-    Published how{mu, tolerance, limit, corrected};
-    int height = (int)points.shape(0), width = (int)points.shape(1), ndim = (int)points.shape(2);
-    if (counts.shape(0) != points.shape(0) || counts.shape(1) != points.shape(1) ||
-        residual.shape(0) != points.shape(0) || residual.shape(1) != points.shape(1) || ndim < 2 || ndim > 3)
+    const Axes& axes = strokes.axes;
+    const Published how{mu, tolerance, limit, corrected};
+    const size_t height = points.shape(0), width = points.shape(1), ndim = points.shape(2);
+    if (counts.shape(0) != height || counts.shape(1) != width || residual.shape(0) != height ||
+        residual.shape(1) != width || ndim < 2 || ndim > 3)
         throw nb::value_error("points, counts and residual must be of one shape");
-    float* to = points.data();
-    int64_t* n = counts.data();
-    double* r = residual.data();
+    auto invert = [&]<int D>(int y) {
+        for (size_t x = 0, at = y * width; x < width; x++, at++) {
+            double p[3] = {x * every * axes[0].spacing, y * every * axes[1].spacing, z * axes[2].spacing};
+            int count;
+            residual.data()[at] = invert_as_published<D>(strokes, how, p, count);
+            counts.data()[at] = count;
+            for (int d = 0; d < D; d++) points.data()[D * at + d] = (float)(p[d] / axes[d].spacing);
+        }
+    };
     unlocked([&] {
-        parallel(height, [&](int y, int) {
-            auto run = ndim == 2 ? invert_row<2> : invert_row<3>;
-            run(strokes, z, every, how, y, width, to + (size_t)y * width * ndim, n + (size_t)y * width,
-                r + (size_t)y * width);
-        });
+        parallel((int)height,
+                 [&](int y, int) { ndim == 2 ? invert.template operator()<2>(y) : invert.template operator()<3>(y); });
     });
 }
 
 }  // namespace
 
-typedef nb::ndarray<const float, nb::ndim<3>, nb::c_contig, nb::device::cpu> Coefficients;
-
-void make_frozen(Frozen* self, const Coefficients& values, std::array<double, 3> first, std::array<double, 3> step) {
+void make_frozen(Frozen* self, const Solid<const float>& values, std::array<double, 3> first,
+                 std::array<double, 3> step) {
     int shape[3];
     for (int i = 0; i < 3; i++) {
         shape[i] = (int)values.shape(i);

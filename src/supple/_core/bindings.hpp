@@ -14,9 +14,14 @@ using namespace nb::literals;
 
 namespace supple {
 
-typedef nb::ndarray<const double, nb::ndim<2>, nb::c_contig, nb::device::cpu> Doubles;
-typedef nb::ndarray<const double, nb::shape<-1, 3>, nb::c_contig, nb::device::cpu> Triples;
-typedef nb::ndarray<const double, nb::shape<3, AXIS_NUMBERS>, nb::c_contig, nb::device::cpu> AxisRows;
+// Contiguous values of a type T, of SIZES along its axes: -1 for any.
+template <class T, nb::ssize_t... SIZES>
+using Array = nb::ndarray<T, nb::shape<SIZES...>, nb::c_contig, nb::device::cpu>;
+template <class T>
+using Solid = Array<T, -1, -1, -1>;
+typedef Array<const double, -1, -1> Doubles;
+typedef Array<const double, -1, 3> Triples;
+typedef Array<const double, 3, AXIS_NUMBERS> AxisRows;
 typedef std::optional<const Frozen*> Masking;  // a freeze mask, or none
 
 inline Strokes strokes_of(const Doubles& rows, const Axes& axes, const Masking& freeze) {

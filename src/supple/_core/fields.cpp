@@ -82,49 +82,43 @@ Passed<Lanes> pass_with_error(const Composite& map, bool backwards, const double
     return passed;
 }
 
-// Points (N, 3) through a composite: the points, the derivatives or none, bounds on their errors or none, and which are
-// solved, within, and upright.
-template <int D>
-void pass_points(const Composite& map, bool backwards, const double* from, size_t count, double* to, double* matrices,
-                 double* errors, uint8_t* status, double* steps) {
-    std::vector<double> rounding;
-    for (int n = 0; errors && n < map.count; n++) rounding.push_back(rounding_of<D>(map.parts[n], map.axes));
-    each_batch(count, [&](size_t start, int n) {
-        Lanes x[D], error{};
-        for (int d = 0; d < D; d++)
-            for (int l = 0; l < LANES; l++) x[d][l] = from[3 * (start + std::min(l, n - 1)) + d];
-        auto jet = jet_at<D, D>(x);
-        const Passed<Lanes> passed =
-            errors ? pass_with_error<D>(map, backwards, rounding.data(), jet, error) : pass<D>(map, backwards, jet);
-        for (int l = 0; l < n; l++) {
-            if (errors) errors[start + l] = passed.done[l] ? error[l] : std::numeric_limits<double>::infinity();
-            for (int d = 0; d < D; d++) {
-                to[3 * (start + l) + d] = jet.x[d][l];
-                for (int j = 0; matrices && j < D; j++) matrices[9 * (start + l) + 3 * d + j] = jet.t[j][d][l];
-            }
-            steps[start + l] = passed.steps[l];
-            status[start + l] = (passed.done[l] ? 0 : 4) | (passed.within[l] ? 0 : 2) | (passed.upright[l] ? 0 : 1);
-        }
-    });
-}
-
-nb::object through(const AnyComposite& map, const Triples& points, bool backwards, bool jacobian,
-                   nb::ndarray<uint8_t, nb::ndim<1>, nb::c_contig, nb::device::cpu> status,
-                   std::optional<nb::ndarray<double, nb::ndim<1>, nb::c_contig, nb::device::cpu>> errors) {
+// Points (N, 3) through a composite: the points, the derivatives or none, and the evaluations; with bounds on their
+// errors or none, and which are solved, within, and upright.
+nb::object through(const AnyComposite& any, const Triples& points, bool backwards, bool jacobian,
+                   Array<uint8_t, -1> status, std::optional<Array<double, -1>> errors) {
     if (status.shape(0) != points.shape(0) || (errors && (jacobian || errors->shape(0) != points.shape(0))))
         throw nb::value_error("status and errors must be as many as points, without derivatives");
-    size_t count = points.shape(0);
+    const Composite& map = *any.held;
+    const size_t count = points.shape(0);
     auto *moved = new std::vector<double>(points.data(), points.data() + 3 * count),
-         *steps = new std::vector<double>(count);
-    nb::object first = owned(moved, {count, 3}), second = nb::none(), third = owned(steps, {count});
-    std::vector<double>* matrices = nullptr;
-    if (jacobian) second = owned(matrices = new std::vector<double>(9 * count), {count, 3, 3});
-    auto run = map.ndim == 2 ? pass_points<2> : pass_points<3>;
-    unlocked([&] {
-        run(*map.held, backwards, points.data(), count, moved->data(), matrices ? matrices->data() : nullptr,
-            errors ? errors->data() : nullptr, status.data(), steps->data());
-    });
-    return nb::make_tuple(first, second, third);
+         *steps = new std::vector<double>(count), *matrices = new std::vector<double>(jacobian ? 9 * count : 0);
+    nb::object first = owned(moved, {count, 3}), second = owned(matrices, {matrices->size() / 9, 3, 3}),
+               third = owned(steps, {count});
+    const double* from = points.data();
+    auto run = [&]<int D>() {
+        std::vector<double> rounding;
+        for (int n = 0; errors && n < map.count; n++) rounding.push_back(rounding_of<D>(map.parts[n], map.axes));
+        each_batch(count, [&](size_t start, int n) {
+            Lanes x[D], error{};
+            for (int d = 0; d < D; d++)
+                for (int l = 0; l < LANES; l++) x[d][l] = from[3 * (start + std::min(l, n - 1)) + d];
+            auto jet = jet_at<D, D>(x);
+            const Passed<Lanes> passed =
+                errors ? pass_with_error<D>(map, backwards, rounding.data(), jet, error) : pass<D>(map, backwards, jet);
+            for (int l = 0; l < n; l++) {
+                const size_t at = start + l;
+                if (errors) errors->data()[at] = passed.done[l] ? error[l] : std::numeric_limits<double>::infinity();
+                for (int d = 0; d < D; d++) {
+                    (*moved)[3 * at + d] = jet.x[d][l];
+                    for (int j = 0; jacobian && j < D; j++) (*matrices)[9 * at + 3 * d + j] = jet.t[j][d][l];
+                }
+                (*steps)[at] = passed.steps[l];
+                status.data()[at] = (passed.done[l] ? 0 : 4) | (passed.within[l] ? 0 : 2) | (passed.upright[l] ? 0 : 1);
+            }
+        });
+    };
+    unlocked([&] { any.ndim == 2 ? run.template operator()<2>() : run.template operator()<3>(); });
+    return nb::make_tuple(first, jacobian ? second : nb::none(), third);
 }
 
 // ---- inverses -------------------------------------------------------------------------------------------------------

@@ -100,52 +100,43 @@ public:
     //
     // A polynomial is in the hull of its Bézier points, of a common degree for all components of the vector.
     int gradients_in(const double* low, const double* high, double (*found)[3]) const {
-        double w[3][4][4] = {}, dw[3][4][4] = {};
-        int from[3], n[3];
+        double w[2][3][4][4] = {};  // of values, and of derivatives
+        int from[3] = {}, n[3];
         for (int i = 0; i < 3; i++) {
             n[i] = size[i] > 1 ? 4 : 1;
-            from[i] = 0;
             if (n[i] == 1) {
-                w[i][0][0] = 1;
+                w[0][i][0][0] = 1;
                 continue;
             }
             double a, b;
             const int cell = cell_of(*this, i, low[i], a), last = cell_of(*this, i, high[i], b);
             if (last != cell && !(last == cell + 1 && b < 1e-9)) return 0;
             from[i] = cell - 1;
-            b += last - cell;
-            bezier_weights(a, b, per_step[i], w[i], dw[i]);
+            bezier_weights(a, b + (last - cell), per_step[i], w[0][i], w[1][i]);
         }
-        double x[2][4][4][4] = {}, y[3][4][4][4] = {};  // [k][j][i], of ∂/∂x, ∂/∂y and ∂/∂z
-        for (int k = 0; k < n[2]; k++)
-            for (int j = 0; j < n[1]; j++) {
-                const float* row = values + ((int64_t)(from[2] + k) * size[1] + from[1] + j) * size[0] + from[0];
-                for (int p = 0; p < n[0]; p++)
-                    for (int i = 0; i < n[0]; i++) {
-                        x[0][k][j][p] += w[0][p][i] * row[i];
-                        x[1][k][j][p] += dw[0][p][i] * row[i];
-                    }
-            }
-        for (int k = 0; k < n[2]; k++)
-            for (int q = 0; q < n[1]; q++)
-                for (int j = 0; j < n[1]; j++)
-                    for (int p = 0; p < n[0]; p++) {
-                        y[0][k][q][p] += w[1][q][j] * x[1][k][j][p];
-                        y[1][k][q][p] += dw[1][q][j] * x[0][k][j][p];
-                        y[2][k][q][p] += w[1][q][j] * x[0][k][j][p];
-                    }
+        const int end = n[2] > 1 ? 64 : n[1] > 1 ? 16 : 4;
         int count = 0;
-        for (int r = 0; r < n[2]; r++)
-            for (int q = 0; q < n[1]; q++)
-                for (int p = 0; p < n[0]; p++, count++) {
-                    double* g = found[count];
-                    g[0] = g[1] = g[2] = 0;
-                    for (int k = 0; k < n[2]; k++) {
-                        g[0] += w[2][r][k] * y[0][k][q][p];
-                        g[1] += w[2][r][k] * y[1][k][q][p];
-                        g[2] += dw[2][r][k] * y[2][k][q][p];
-                    }
+        for (int d = 0; d < 3; d++) {  // the coefficients around, axis by axis
+            double c[64] = {}, next[64];
+            for (int k = 0; k < n[2]; k++)
+                for (int j = 0; j < n[1]; j++)
+                    for (int i = 0; i < n[0]; i++)
+                        c[16 * k + 4 * j + i] =
+                            values[((int64_t)(from[2] + k) * size[1] + from[1] + j) * size[0] + from[0] + i];
+            for (int axis = 0; axis < 3; axis++) {
+                const int stride = 1 << 2 * axis;
+                for (int m = 0; m < end; m++) {
+                    const int p = m / stride % 4;
+                    next[m] = 0;
+                    for (int i = 0; i < n[axis]; i++) next[m] += w[d == axis][axis][p][i] * c[m + (i - p) * stride];
                 }
+                std::copy(next, next + end, c);
+            }
+            count = 0;
+            for (int r = 0; r < n[2]; r++)
+                for (int q = 0; q < n[1]; q++)
+                    for (int p = 0; p < n[0]; p++) found[count++][d] = c[16 * r + 4 * q + p];
+        }
         return count;
     }
     // The knot nearest to a coordinate; itself along an axis without.
@@ -182,9 +173,10 @@ private:
                 w[p][c] = (1 - t[2]) * d[0] + t[2] * d[1];
             }
         if (!(b - a > 1e-9)) {  // at a point, the slope is that of the whole cell there
-            double slope[3][4];
-            spline_weights<1>(a, per_step, slope);
-            for (int p = 0; p < 4; p++) std::copy(slope[1], slope[1] + 4, dw[p]);
+            double weights[3][4];
+            spline_weights<4>(a, weights);
+            for (int p = 0; p < 4; p++)
+                for (int c = 0; c < 4; c++) dw[p][c] = per_step * weights[1][c];
             return;
         }
         const double scale = 3 * per_step / (b - a);

@@ -615,30 +615,27 @@ inline double largest_displacement(const std::vector<Stroke>& strokes, const Axi
     };
     std::vector<Part> parts;
     for (const Region& box : boxes_of(strokes, axes)) parts.push_back({{}, box, 0, {}});
+    for (const Stroke& stroke : strokes) {  // pivots are where most is moved
+        Region pivot;
+        for (int k = 0; k < 3; k++)
+            pivot.low[k] = pivot.high[k] = std::clamp(stroke.pivot[k], axes[k].first, axes[k].last);
+        parts.push_back({{}, pivot, 0, {}});
+    }
     parallel((int)parts.size(), [&](int i, int) {
         Part& part = parts[i];
         part.near = Search(strokes, axes, -INFINITE, 0, 0).those_in(part.box);
         part.box.bound = INFINITE;
         Search search(part.near, axes, -INFINITE, 0, 0);
         part.here = look(search, part.near, part.box);
-    });
-    // Pivots are where most is moved.
-    std::vector<double> there(strokes.size());
-    parallel((int)strokes.size(), [&](int i, int) {
-        Region box;
-        for (int k = 0; k < 3; k++)
-            box.low[k] = box.high[k] = std::clamp(strokes[i].pivot[k], axes[k].first, axes[k].last);
-        Search search(strokes, axes, -INFINITE, 0, 0);
-        there[i] = look(search, strokes, box);
+        part.waiting = {part.box};
     });
     double known = 0;
-    for (double here : there) known = std::max(known, here);
     for (const Part& part : parts) known = std::max(known, part.here);
-    for (Part& part : parts) part.waiting = {part.box};
     // What parts leave of the places is for those that are not done: the same ones, whatever the threads.
     const auto smaller = [](const Region& a, const Region& b) { return a.bound < b.bound; };
     std::vector<Part*> open;
-    for (Part& part : parts) open.push_back(&part);
+    for (Part& part : parts)
+        if (part.box.bound > LOOSE * known) open.push_back(&part);
     for (int left = MOST_PLACES; !open.empty();) {
         const int each = std::max(left / (int)open.size(), 1);
         std::vector<int> used(open.size());

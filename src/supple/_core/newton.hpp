@@ -231,13 +231,8 @@ NOINLINE void undo(const Chain& chain, const Axis* axes, const V* q, double tole
                 Chain alone = one;
                 alone.lane = l;
                 bool known = follow<D>(alone, axes, target, tolerance, p, steps);
-                if constexpr (Masked<V>::lanes == 1) {
-                    for (int i = 0; i < D && known; i++) found.p[i] = p[i];
-                    found.steps += steps;
-                } else {
-                    for (int i = 0; i < D && known; i++) found.p[i][l] = p[i];
-                    found.steps[l] += steps;
-                }
+                for (int i = 0; i < D && known; i++) set_lane(found.p[i], l, p[i]);
+                set_lane(found.steps, l, lane(found.steps, l) + steps);
             }
         for (int i = 0; i < D; i++) at[i] = found.p[i];
     }

@@ -14,7 +14,7 @@ namespace {
 
 typedef nb::ndarray<nb::ro, nb::c_contig, nb::device::cpu> Source;
 typedef nb::ndarray<nb::c_contig, nb::device::cpu> Target;
-typedef nb::ndarray<const float, nb::shape<-1, -1, -1, 4>, nb::c_contig, nb::device::cpu> Fields;
+typedef Array<const float, -1, -1, -1, 4> Fields;
 // Of the motion between frames: displacements, the longest of each pair, the position of the first, and their distance.
 typedef std::tuple<Fields, std::vector<float>, double, double, double> Displacements;
 
@@ -179,7 +179,7 @@ nb::tuple extent_of(const Plan<D>& plan) {
 }
 
 template <class T, int D>
-void points_of(const Plan<D>& plan, nb::ndarray<T, nb::ndim<3>, nb::c_contig, nb::device::cpu>& out) {
+void points_of(const Plan<D>& plan, Solid<T>& out) {
     const int x0 = plan.box[0], x1 = plan.box[1], y0 = plan.box[2], y1 = plan.box[3];
     if ((int)out.shape(0) != y1 - y0 || (int)out.shape(1) != x1 - x0 || out.shape(2) != D)
         throw nb::value_error("points must have the plane's shape, or that of its part");
@@ -326,17 +326,11 @@ void bind_plans(nb::module_& m) {
             "Return the least and the largest coordinates of source points, how far any is from q, and the largest "
             "|∂p_z/∂q|.")
         .def(
-            "points",
-            [](const AnyPlan& p, nb::ndarray<float, nb::ndim<3>, nb::c_contig, nb::device::cpu> out) {
-                p.with([&](auto& plan) { points_of(plan, out); });
-            },
+            "points", [](const AnyPlan& p, Solid<float> out) { p.with([&](auto& plan) { points_of(plan, out); }); },
             nb::arg("out").noconvert(),
             "Write the source point of every pixel of the plane, or of its part: (h, w, D), in float32 or float64.")
         .def(
-            "points",
-            [](const AnyPlan& p, nb::ndarray<double, nb::ndim<3>, nb::c_contig, nb::device::cpu> out) {
-                p.with([&](auto& plan) { points_of(plan, out); });
-            },
+            "points", [](const AnyPlan& p, Solid<double> out) { p.with([&](auto& plan) { points_of(plan, out); }); },
             nb::arg("out").noconvert())
         .def(
             "measure",

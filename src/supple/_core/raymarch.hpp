@@ -608,45 +608,6 @@ private:
 
 // ---- where a volume can be seen at all -----------------------------------------------------------------------------
 
-// The smallest and the largest sample of each brick in layer c, of bricks that are `brick` voxels wide.
-template <class T>
-void ranges(const T* samples, const int64_t* n, int brick, const int64_t* bricks, int64_t c, float* lows,
-            float* highs) {
-    auto end = [&](int64_t at, int axis) { return least(at * brick + brick + 1, n[axis]); };
-    for (int64_t b = 0; b < bricks[1]; b++)
-        for (int64_t a = 0; a < bricks[0]; a++) {
-            T low = std::numeric_limits<T>::max(), high = std::numeric_limits<T>::lowest();
-            for (int64_t z = c * brick; z < end(c, 2); z++)
-                for (int64_t y = b * brick; y < end(b, 1); y++)
-                    for (int64_t x = a * brick; x < end(a, 0); x++) {
-                        T value = samples[(z * n[1] + y) * n[0] + x];
-                        low = least(low, value);
-                        high = most(high, value);
-                    }
-            *lows++ = float(low);
-            *highs++ = float(high);
-        }
-}
-
-// The mean of a table's entries, by the samples of each block in layer c, of blocks that are `wide` voxels wide.
-template <class T>
-void block_means(const T* samples, const int64_t* n, const int64_t* wide, const int64_t* blocks, int64_t c,
-                 const float* table, float last_entry, float low, float scale, float* out) {
-    auto end = [&](int64_t at, int axis) { return least((at + 1) * wide[axis], n[axis]); };
-    for (int64_t b = 0; b < blocks[1]; b++)
-        for (int64_t a = 0; a < blocks[0]; a++) {
-            float sum = 0;
-            int count = 0;
-            for (int64_t z = c * wide[2]; z < end(c, 2); z++)
-                for (int64_t y = b * wide[1]; y < end(b, 1); y++)
-                    for (int64_t x = a * wide[0]; x < end(a, 0); x++, count++) {
-                        float entry = (float(samples[(z * n[1] + y) * n[0] + x]) - low) * scale;
-                        sum += table[int32_t(least(most(entry, 0.0f), last_entry) + 0.5f)];
-                    }
-            *out++ = sum / float(count);
-        }
-}
-
 // The largest part of what is seen, of voxels that touch by their faces; of equal ones, the first. It is found by
 // marking all of them, and then marked alone: a label of each voxel would take eight times the memory.
 inline void largest(const bool* seen, const int64_t* n, bool* out) {

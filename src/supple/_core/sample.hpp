@@ -86,7 +86,7 @@ INLINE Pixel<N> cubic_at(Taps taps, ptrdiff_t row, N fx, N fy) {
     ptrdiff_t o = -row - C;
     Pack<N, L> v = w[0] * taps.template at<N, L>(o);
     for (int j = 1; j < 4; j++) v += w[j] * taps.template at<N, L>(o + j * row);
-    return sum_of<N, C, 4>(v * weights<N, C, L>(fx));
+    return sum_of<N, C>(v * weights<N, C, L>(fx));
 }
 
 // left, right: the weights of the window's rows for the spot's left and right points, ES apart.
@@ -101,7 +101,7 @@ INLINE Pixel<N> spot_at(Taps taps, ptrdiff_t row, Across<N> x, const N* left, co
         b += r * right[j * ES];
     }
     Pack<N, L> v = a * halves<N, C, L>[0](x.first) + b * halves<N, C, L>[x.shift](x.second);
-    Pixel<N> s = sum_of<N, C, 4>(v);
+    Pixel<N> s = sum_of<N, C>(v);
     if constexpr (C == 4) {  // the fifth column did not fit
         Pixel<N> b4 = right[0] * taps.template at<N, 4>(o + 16);
         for (int j = 1; j < WINDOW; j++) b4 += right[j * ES] * taps.template at<N, 4>(o + 16 + j * row);

@@ -271,23 +271,19 @@ struct Mixing {
             return any(k);
     }
     NOINLINE Mix<N> any(int k) const {
-        if constexpr (D == 2)
-            return {0, 1, weight, 0};
-        else {
-            double t = row.whole[2][k] + (double)row.part[2][k], width = job.average ? covered(row.depth2[k]) : 0;
-            if (job.rule != REFLECT) t = std::clamp(t, -3.0 - LONGEST / 2, job.count + 2.0 + LONGEST / 2);
-            int first, n = time_weights(job.between, t, width, first, weight);
-            first -= span.first;
-            if (first < 0 || first + n > span.last - span.first + 1) {  // rounding at the ends of a span
-                first = std::clamp(first, 0, std::max(span.last - span.first + 1 - n, 0));
-                n = std::min(n, span.last - span.first + 1);
-            }
-            N constant = 0;
-            const N* w = weight;
-            while (n > 0 && !frames[first]) constant += *w++, first++, n--;
-            while (n > 0 && !frames[first + n - 1]) constant += w[--n];
-            return {first, n, w, constant};
+        double t = row.whole[2][k] + (double)row.part[2][k], width = job.average ? covered(row.depth2[k]) : 0;
+        if (job.rule != REFLECT) t = std::clamp(t, -3.0 - LONGEST / 2, job.count + 2.0 + LONGEST / 2);
+        int first, n = time_weights(job.between, t, width, first, weight);
+        first -= span.first;
+        if (first < 0 || first + n > span.last - span.first + 1) {  // rounding at the ends of a span
+            first = std::clamp(first, 0, std::max(span.last - span.first + 1 - n, 0));
+            n = std::min(n, span.last - span.first + 1);
         }
+        N constant = 0;
+        const N* w = weight;
+        while (n > 0 && !frames[first]) constant += *w++, first++, n--;
+        while (n > 0 && !frames[first + n - 1]) constant += w[--n];
+        return {first, n, w, constant};
     }
 #if defined(__AVX2__)
     // Of n samples from k on. False if they need too many frames.
