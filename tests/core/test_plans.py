@@ -72,14 +72,6 @@ def promised(d: Deformation, tolerance: float, z: float = 0.0) -> None:
 TOLERANCES = (1e-1, 1e-2, 1e-3, 1e-4)
 
 
-@pytest.mark.parametrize("seed", range(12))
-def test_one_stroke(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    d = deformation(rng, tuple(rng.integers(33, 110, 2).tolist()), 1)
-    for tolerance in TOLERANCES:
-        promised(d, tolerance)
-
-
 @examples(30)
 @given(deformations(2, 90, 6), st.sampled_from(TOLERANCES))
 def test_any_strokes(d: Deformation, tolerance: float) -> None:
