@@ -55,17 +55,20 @@ INLINE void sum_samples(const Sampled& k, const V* i, const V* a, const V* b, Lo
         spline_weights<TAPS>(f, weight[d]);
         stride *= k.size[d];
     }
-    auto sample = [&](int m, int j, int n, int d) INLINE_LAMBDA {
-        V v{};
+    auto rows = [&](int m, int j) INLINE_LAMBDA {
+        Starts<const T*, N> from;
         for (int l = 0; l < N; l++) {
-            const T* start = (const T*)k.values + at[1][j][l];
-            if constexpr (D == 3) start += at[2][m][l];
-            set_lane(v, l, start[at[0][n][l] + d]);
+            from.of[l] = (const T*)k.values + at[1][j][l];
+            if constexpr (D == 3) from.of[l] += at[2][m][l];
         }
-        return v;
+        return [from, &at](int n, int d) INLINE_LAMBDA {
+            V v{};
+            for (int l = 0; l < Masked<V>::lanes; l++) set_lane(v, l, from.of[l][at[0][n][l] + d]);
+            return v;
+        };
     };
     V sums[ORDER + 1][ORDER + 1][ORDER + 1][D] = {}, p[D], q[D], bent[D] = {};
-    sum_taps<D, TAPS, ORDER, D>(weight, D == 3 ? TAPS : 1, sample, sums);
+    sum_taps<D, TAPS, ORDER, D>(weight, D == 3 ? TAPS : 1, rows, sums);
     for (int d = 0; ORDER > 1 && d < D; d++) {
         p[d] = inside[d] * a[d];
         q[d] = inside[d] * b[d];

@@ -61,17 +61,25 @@ INLINE void spline_weights(V f, V (*w)[TAPS]) {
     }
 }
 
+// The first sample of a row, for each lane.
+template <class P, int N>
+struct Starts {
+    P of[N];
+};
+
 // Sum C numbers of samples, times their weights along D axes, of which the third has `deep` taps: [p][o][n] of the sums
-// is the p-th derivative along z of the o-th along y of the n-th along x, up to ORDER in all.
-template <int D, int TAPS, int ORDER, int C, class V, class Sample>
-INLINE void sum_taps(const V (*w)[3][TAPS], int deep, Sample sample, V (*sums)[ORDER + 1][ORDER + 1][C]) {
+// is the p-th derivative along z of the o-th along y of the n-th along x, up to ORDER in all. rows(k, j)(i, c) is the
+// number c of a sample.
+template <int D, int TAPS, int ORDER, int C, class V, class Rows>
+INLINE void sum_taps(const V (*w)[3][TAPS], int deep, Rows rows, V (*sums)[ORDER + 1][ORDER + 1][C]) {
     for (int k = 0; k < deep; k++) {
         V plane[ORDER + 1][ORDER + 1][C] = {};
         for (int j = 0; j < TAPS; j++) {
             V row[ORDER + 1][C] = {};
+            const auto sample = rows(k, j);
             for (int i = 0; i < TAPS; i++)
                 for (int c = 0; c < C; c++) {
-                    const V v = sample(k, j, i, c);
+                    const V v = sample(i, c);
                     for (int n = 0; n <= ORDER; n++) row[n][c] += w[0][n][i] * v;
                 }
             for (int n = 0; n <= ORDER; n++)
@@ -97,16 +105,21 @@ NOINLINE void freed_in(const Freeze& f, const int (*at)[D], const V* part, V& m,
             w[d][2][i] *= f.per_step[d] * f.per_step[d];
         }
     }
-    auto sample = [&](int k, int j, int i, int) INLINE_LAMBDA {
-        V v{};
+    const int step = f.size[0] > 1;
+    auto rows = [&](int k, int j) INLINE_LAMBDA {
+        Starts<const float*, Masked<V>::lanes> from;
         for (int l = 0; l < Masked<V>::lanes; l++) {
-            const int x = f.size[0] > 1 ? at[l][0] - 1 + i : 0, y = f.size[1] > 1 ? at[l][1] - 1 + j : 0;
+            const int x = step ? at[l][0] - 1 : 0, y = f.size[1] > 1 ? at[l][1] - 1 + j : 0;
             const int z = D == 3 && f.size[2] > 1 ? at[l][D - 1] - 1 + k : 0;
-            set_lane(v, l, f.values[((int64_t)z * f.size[1] + y) * f.size[0] + x]);
+            from.of[l] = f.values + ((int64_t)z * f.size[1] + y) * f.size[0] + x;
         }
-        return v;
+        return [from, step](int i, int) INLINE_LAMBDA {
+            V v{};
+            for (int l = 0; l < Masked<V>::lanes; l++) set_lane(v, l, from.of[l][i * step]);
+            return v;
+        };
     };
-    sum_taps<D, 4, ORDER, 1>(w, D == 3 && f.size[2] > 1 ? 4 : 1, sample, sums);
+    sum_taps<D, 4, ORDER, 1>(w, D == 3 && f.size[2] > 1 ? 4 : 1, rows, sums);
     m = sums[0][0][0][0];
     for (int d = 0; d < D && ORDER > 0; d++) slope[d] = sums[d == 2][d == 1][d == 0][0];
     for (int d = 0; d < D && ORDER > 1; d++)

@@ -82,7 +82,7 @@ INLINE Pixel<N> part(V v) {
 // L consecutive samples as numbers.
 template <class N, int L, class T>
 INLINE Pack<N, L> load(const T* p) {
-    constexpr bool positive = T(-1) > T(0);
+    [[maybe_unused]] constexpr bool positive = T(-1) > T(0);
     if constexpr (sizeof(N) * L > REGISTER)
         return {load<N, L / 2>(p), load<N, L / 2>(p + L / 2)};
     else if constexpr (sizeof(T) == sizeof(N)) {
