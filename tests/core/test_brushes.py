@@ -88,23 +88,6 @@ def test_a_flow_turns_any_number_of_times() -> None:
     np.testing.assert_allclose(d.jacobian((40, 40)), 20 * np.eye(2), atol=1e-8)
 
 
-@pytest.mark.parametrize("angle", [270.0, 360.0, -700.0])
-def test_whole_turns_are_not_taken_for_none(angle: float) -> None:
-    d = Deformation((80, 90), border=30, on_fold="damp").twist((40, 40), angle=angle, radius=12)
-    turned = d.report().damping[0] * angle
-    assert 60 < abs(turned) < 90
-    c, s = math.cos(math.radians(turned)), math.sin(math.radians(turned))
-    np.testing.assert_allclose(d.jacobian((40, 40)), [[c, -s], [s, c]], atol=1e-9)
-
-
-@pytest.mark.parametrize("stroke", AFFINE[3], ids=lambda s: s.brush)
-def test_the_far_field_fades_as_one_over_the_square(stroke: Stroke) -> None:
-    d = Deformation((40, 40, 40), border=None, on_fold="damp").add(replace(stroke, reach=None))
-    way = np.array([2.0, -1.0, 0.5])
-    near, far = (np.linalg.norm(d.forward(p) - p) for p in (np.array(stroke.at) + s * 1e3 * way for s in (1, 2)))
-    assert near / far == pytest.approx(4, rel=1e-3)
-
-
 @pytest.mark.parametrize("stroke", [*AFFINE[2], *AFFINE[3]], ids=lambda s: f"{s.brush}, {s.ndim}")
 @pytest.mark.parametrize("reach", [1.0, 2.5])
 def test_outside_the_ball_points_keep_every_bit(stroke: Stroke, reach: float) -> None:

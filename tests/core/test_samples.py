@@ -207,21 +207,6 @@ def test_a_box_is_a_crop(filter: str, dtype: str, channels: int, how: dict[str, 
             assert part.tobytes() == expected.tobytes()
 
 
-@examples(30)
-@given(deformations(2, 80, 3), st.integers(0, 2**20), st.sampled_from(FILTERS), st.sampled_from(RULES))
-def test_any_box_is_a_crop(d: Deformation, seed: int, filter: str, outside: str) -> None:
-    source, p = noise("u1", (1, *d.shape, 3)), plan(d)
-    whole = np.empty(source.shape[1:], np.uint8)
-    how: dict[str, Any] = {"filter": filter, "outside": outside, "fill": [9.0, 99.0, 199.0]}
-    p.sample(sampling(source, whole, **how))
-    for x0, x1, y0, y1 in boxes(d.shape, seed, 2):  # type: ignore[arg-type]
-        part = np.zeros_like(whole)
-        p.sample(sampling(source, part, **how), (x0, x1, y0, y1))
-        np.testing.assert_array_equal(part[y0:y1, x0:x1], whole[y0:y1, x0:x1])
-        part[y0:y1, x0:x1] = 0
-        assert not part.any()
-
-
 @pytest.mark.filterwarnings("ignore::supple.FoldWarning", "ignore::supple.OutsideWarning")
 @pytest.mark.parametrize("pulls", [False, True])
 def test_parts_of_long_drags_are_parts(pulls: bool) -> None:

@@ -19,12 +19,11 @@ from supple.cuda import device as devices
 from supple.errors import SuppleError
 from supple.examples.gallery import write_gallery
 from supple.files.renders import RenderOptions
-from supple.files.volumes import warp_volume
 from supple.media import image
 from supple.media import volume as media
 from supple.render.scene import Scene
 from supple.space.geometry import Geometry
-from supple.strokes import Recipe, Stroke
+from supple.strokes import Recipe
 from tests.cuda.driver import Status
 
 MISSING = "CUDA needs the package cuda-bindings, which is not installed"
@@ -195,18 +194,6 @@ def test_the_command_line_ends_before_any_work(
         assert refused(capfd, "warp", source, target, *strokes, "--device", "cuda").startswith(MISSING)
     for name in ("there.png", "there.nrrd"):
         assert Path(name).read_text(encoding="utf-8") == "as it was"
-
-
-@pytest.mark.usefixtures("without", "folder")
-def test_files_are_not_read_for_a_card_that_is_not_there() -> None:
-    flat, solid = (Recipe(strokes=(Stroke.grab((4, 4, 2)[:n], by=(1, 0, 0)[:n], radius=3),)) for n in (2, 3))
-    for source, target, recipe in (("photo.png", "new.png", flat), ("head.nrrd", "new.nrrd", solid)):
-        with pytest.raises(SuppleError, match=MISSING):
-            supple.warp_file(source, target, recipe, device="cuda")
-        assert not Path(target).exists()
-    with pytest.raises(SuppleError, match=MISSING):
-        warp_volume("head.nrrd", "new.nrrd", solid, device="cuda")
-    assert not Path("new.nrrd").exists()
 
 
 @pytest.mark.usefixtures("folder")

@@ -143,22 +143,6 @@ def test_the_stream_of_the_moment_is_the_one() -> None:
     np.testing.assert_array_equal(host(doubled), 2 * host(made))
 
 
-def test_cupy_s_stream_of_the_moment() -> None:
-    cupy = cupy_()
-    source = waves(VOLUME)
-    d = bent(VOLUME)
-    with cupy.cuda.Stream(non_blocking=True) as stream:
-        large = cupy.random.random((4096, 4096), dtype=np.float32) / 4096
-        for _ in range(20):
-            large = large @ large
-        there = cupy.asarray(source) + 0 * large[0, 0]
-        made = d.warp(there, **OPTIONS)
-        doubled = made * 2
-        stream.synchronize()
-    assert apart(host(made), d.warp(source, **OPTIONS), source).max() <= CLOSE
-    np.testing.assert_array_equal(host(doubled), 2 * host(made))
-
-
 def test_the_second_card_keeps_what_is_its_own() -> None:
     if int(call("cuDeviceGetCount")) < 2:
         pytest.skip("there is one GPU")

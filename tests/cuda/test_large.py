@@ -107,15 +107,16 @@ def test_what_does_not_fit_is_refused(gpu: CudaDevice) -> None:
         by_device(gpu, bent(), noise(), 2 * FRAME)
 
 
-def test_an_end_on_the_way_is_the_caller_s(gpu: CudaDevice) -> None:
+@pytest.mark.parametrize("error", [KeyboardInterrupt, BrokenPipeError])
+def test_an_error_on_the_way_is_the_caller_s(gpu: CudaDevice, error: type[BaseException]) -> None:
     d, source = bent(), noise()
     work = work_of(source.shape, source.dtype, d.space, Sampling(filter="linear"))
 
-    def end(step: str, done: int, total: int) -> None:
-        raise KeyboardInterrupt
+    def tell(step: str, done: int, total: int) -> None:
+        raise error
 
-    with pytest.raises(KeyboardInterrupt):  # nothing is left over: see the fixture
-        sample(work, source[..., None], np.empty_like(source)[..., None], end, room=14 * FRAME)
+    with pytest.raises(error):  # nothing is left over: see the fixture
+        sample(work, source[..., None], np.empty_like(source)[..., None], tell, room=14 * FRAME)
 
 
 def test_deformations_send_arrays(gpu: CudaDevice) -> None:
@@ -149,14 +150,3 @@ def test_volumes_from_file_to_file(gpu: CudaDevice, folder: Path, capfd: pytest.
     told = json.loads(capfd.readouterr().out)
     assert told["device"] == gpu.name
     assert told["error"] <= 0.01
-
-
-def test_an_error_of_the_caller_is_not_one_of_the_gpu(gpu: CudaDevice) -> None:
-    d, source = bent(), noise()
-    work = work_of(source.shape, source.dtype, d.space, Sampling(filter="linear"))
-
-    def tell(step: str, done: int, total: int) -> None:
-        raise BrokenPipeError("nobody reads")
-
-    with pytest.raises(BrokenPipeError, match="nobody reads"):
-        sample(work, source[..., None], np.empty_like(source)[..., None], tell)

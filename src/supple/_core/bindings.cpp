@@ -15,137 +15,90 @@ bool python_interrupts() {
     return PyErr_CheckSignals() != 0;
 }
 
-nb::object owned(std::vector<double>* made, std::initializer_list<size_t> shape) {
-    nb::capsule owner(made, [](void* p) noexcept { delete (std::vector<double>*)p; });
-    return nb::cast(nb::ndarray<nb::numpy, double>(made->data(), shape, owner));
-}
-
-constexpr size_t TOGETHER = 1024;  // points for a thread at once
-
-template <class F>
-void each_batch(size_t count, F body) {
-    parallel((int)((count + TOGETHER - 1) / TOGETHER), [&](int item, int) {
-        size_t first = (size_t)item * TOGETHER, end = std::min(first + TOGETHER, count);
-        for (size_t i = first; i < end; i += LANES) body(i, (int)std::min<size_t>(LANES, end - i));
-    });
-}
-
-nb::object forward(const Doubles& table, const Doubles& rows, const Doubles& points, bool jacobian, Masking freeze) {
-    Axes axes = axes_of(rows);
-    std::vector<Stroke> strokes = strokes_of(table, axes.data(), freeze);
-    if (points.shape(1) != 3) throw nb::value_error("points must have the shape (N, 3)");
-    size_t count = points.shape(0);
-    auto* moved = new std::vector<double>(count * 3);
-    nb::object first = owned(moved, {count, 3}), second = nb::none();
-    std::vector<double>* matrices = nullptr;
-    if (jacobian) second = owned(matrices = new std::vector<double>(count * 9), {count, 3, 3});
+nb::object forward(const Doubles& table, const AxisRows& rows, const Triples& points, bool jacobian, Masking freeze) {
+    const Strokes strokes = strokes_of(table, rows, freeze);
+    const size_t count = points.shape(0);
+    auto *moved = new std::vector<double>(count * 3), *matrices = new std::vector<double>(jacobian ? count * 9 : 0);
+    nb::object first = owned(moved, {count, 3}), second = owned(matrices, {matrices->size() / 9, 3, 3});
     const double* from = points.data();
-    unlocked([&] {
-        std::vector<int> all(strokes.size());
-        for (size_t i = 0; i < all.size(); i++) all[i] = (int)i;
-        Chain chain{strokes.data(), all.data(), (int)all.size()};
+    auto run = [&]<int TANGENTS>() {
         each_batch(count, [&](size_t start, int n) {
-            Lanes x[3], t[3][3];
+            Lanes x[3];
             for (int l = 0; l < LANES; l++)
                 for (int d = 0; d < 3; d++) x[d][l] = from[3 * (start + std::min(l, n - 1)) + d];
-            if (jacobian)
-                apply<3>(chain, axes.data(), x, t);
-            else
-                apply<3>(chain, axes.data(), x);
+            auto jet = jet_at<3, TANGENTS>(x);
+            carry(strokes.chain(), strokes.axes.data(), jet);
             for (int l = 0; l < n; l++)
                 for (int d = 0; d < 3; d++) {
-                    (*moved)[3 * (start + l) + d] = x[d][l];
-                    for (int e = 0; jacobian && e < 3; e++) (*matrices)[9 * (start + l) + 3 * d + e] = t[e][d][l];
+                    (*moved)[3 * (start + l) + d] = jet.x[d][l];
+                    for (int e = 0; e < TANGENTS; e++) (*matrices)[9 * (start + l) + 3 * d + e] = jet.t[e][d][l];
                 }
         });
-    });
-    return nb::make_tuple(first, second);
+    };
+    unlocked([&] { jacobian ? run.template operator()<3>() : run.template operator()<0>(); });
+    return nb::make_tuple(first, jacobian ? second : nb::none());
 }
 
-template <int D>
-void invert_points(const std::vector<Stroke>& strokes, const Axis* axes, const double* targets, size_t count,
-                   double tolerance, double* points, double* residual, double* steps) {
-    std::vector<int> all(strokes.size());
-    for (size_t i = 0; i < all.size(); i++) all[i] = (int)i;
-    Chain chain{strokes.data(), all.data(), (int)all.size()};
-    each_batch(count, [&](size_t start, int n) {
-        Lanes q[D], x[D], e2{};
-        for (int l = 0; l < LANES; l++)
-            for (int d = 0; d < D; d++) q[d][l] = targets[3 * (start + std::min(l, n - 1)) + d];
-        Solution<D, Lanes> found;
-        undo<D>(chain, axes, q, tolerance, found);
-        // The residual is measured again, at the returned point.
-        for (int d = 0; d < D; d++) x[d] = found.p[d];
-        apply<D>(chain, axes, x);
-        for (int d = 0; d < D; d++) e2 += (x[d] - q[d]) * (x[d] - q[d]);
-        Lanes r = root(e2);
-        for (int l = 0; l < n; l++) {
-            for (int d = 0; d < D; d++) points[3 * (start + l) + d] = found.p[d][l];
-            residual[start + l] = r[l];
-            steps[start + l] = found.steps[l];
-        }
-    });
-}
-
-nb::object inverse(const Doubles& table, const Doubles& rows, const Doubles& targets, int ndim, double tolerance,
+nb::object inverse(const Doubles& table, const AxisRows& rows, const Triples& targets, int ndim, double tolerance,
                    Masking freeze) {
-    Axes axes = axes_of(rows);
-    std::vector<Stroke> strokes = strokes_of(table, axes.data(), freeze);
-    if (targets.shape(1) != 3) throw nb::value_error("targets must have the shape (N, 3)");
-    size_t count = targets.shape(0);
+    const Strokes strokes = strokes_of(table, rows, freeze);
+    const Axis* axes = strokes.axes.data();
+    const size_t count = targets.shape(0);
     auto *points = new std::vector<double>(targets.data(), targets.data() + 3 * count),
          *residual = new std::vector<double>(count), *steps = new std::vector<double>(count);
     nb::object made = nb::make_tuple(owned(points, {count, 3}), owned(residual, {count}), owned(steps, {count}));
     const double* from = targets.data();
-    unlocked([&] {
-        auto run = ndim == 2 ? invert_points<2> : invert_points<3>;
-        run(strokes, axes.data(), from, count, tolerance, points->data(), residual->data(), steps->data());
-    });
+    auto run = [&]<int D>() {
+        each_batch(count, [&](size_t start, int n) {
+            Lanes q[D], x[D], e2{};
+            for (int l = 0; l < LANES; l++)
+                for (int d = 0; d < D; d++) q[d][l] = from[3 * (start + std::min(l, n - 1)) + d];
+            Solution<D, Lanes> found;
+            undo<D>(strokes.chain(), axes, q, tolerance, found);
+            // The residual is measured again, at the returned point.
+            for (int d = 0; d < D; d++) x[d] = found.p[d];
+            apply<D>(strokes.chain(), axes, x);
+            for (int d = 0; d < D; d++) e2 += (x[d] - q[d]) * (x[d] - q[d]);
+            Lanes r = root(e2);
+            for (int l = 0; l < n; l++) {
+                for (int d = 0; d < D; d++) (*points)[3 * (start + l) + d] = found.p[d][l];
+                (*residual)[start + l] = r[l];
+                (*steps)[start + l] = found.steps[l];
+            }
+        });
+    };
+    unlocked([&] { ndim == 2 ? run.template operator()<2>() : run.template operator()<3>(); });
     return made;
 }
 
-typedef nb::ndarray<float, nb::ndim<3>, nb::c_contig, nb::device::cpu> PointMap;
-typedef nb::ndarray<int64_t, nb::ndim<2>, nb::c_contig, nb::device::cpu> Counts;
-typedef nb::ndarray<double, nb::ndim<2>, nb::c_contig, nb::device::cpu> Residuals;
-
-template <int D>
-void invert_row(const std::vector<Stroke>& strokes, const Axis* axes, double z, int every, const Published& how, int y,
-                int width, float* points, int64_t* counts, double* residual) {
-    for (int x = 0; x < width; x++) {
-        double p[3] = {x * every * axes[0].spacing, y * every * axes[1].spacing, z * axes[2].spacing};
-        int count;
-        residual[x] = invert_as_published<D>(strokes, axes, how, p, count);
-        counts[x] = count;
-        for (int d = 0; d < D; d++) points[D * x + d] = (float)(p[d] / axes[d].spacing);
-    }
-}
-
-void published(const Doubles& table, const Doubles& rows, double z, int every, double mu, double tolerance, int limit,
-               bool corrected, PointMap points, Counts counts, Residuals residual) {
-    Axes axes = axes_of(rows);
-    std::vector<Stroke> strokes = strokes_of(table, axes.data(), std::nullopt);
-    Published how{mu, tolerance, limit, corrected};
-    int height = (int)points.shape(0), width = (int)points.shape(1), ndim = (int)points.shape(2);
-    if (counts.shape(0) != points.shape(0) || counts.shape(1) != points.shape(1) ||
-        residual.shape(0) != points.shape(0) || residual.shape(1) != points.shape(1) || ndim < 2 || ndim > 3)
+void published(const Doubles& table, const AxisRows& rows, double z, int every, double mu, double tolerance, int limit,
+               bool corrected, Solid<float> points, Array<int64_t, -1, -1> counts, Array<double, -1, -1> residual) {
+    const Strokes strokes = strokes_of(table, rows, std::nullopt);
+    const Axes& axes = strokes.axes;
+    const Published how{mu, tolerance, limit, corrected};
+    const size_t height = points.shape(0), width = points.shape(1), ndim = points.shape(2);
+    if (counts.shape(0) != height || counts.shape(1) != width || residual.shape(0) != height ||
+        residual.shape(1) != width || ndim < 2 || ndim > 3)
         throw nb::value_error("points, counts and residual must be of one shape");
-    float* to = points.data();
-    int64_t* n = counts.data();
-    double* r = residual.data();
+    auto invert = [&]<int D>(int y) {
+        for (size_t x = 0, at = y * width; x < width; x++, at++) {
+            double p[3] = {x * every * axes[0].spacing, y * every * axes[1].spacing, z * axes[2].spacing};
+            int count;
+            residual.data()[at] = invert_as_published<D>(strokes, how, p, count);
+            counts.data()[at] = count;
+            for (int d = 0; d < D; d++) points.data()[D * at + d] = (float)(p[d] / axes[d].spacing);
+        }
+    };
     unlocked([&] {
-        parallel(height, [&](int y, int) {
-            auto run = ndim == 2 ? invert_row<2> : invert_row<3>;
-            run(strokes, axes.data(), z, every, how, y, width, to + (size_t)y * width * ndim, n + (size_t)y * width,
-                r + (size_t)y * width);
-        });
+        parallel((int)height,
+                 [&](int y, int) { ndim == 2 ? invert.template operator()<2>(y) : invert.template operator()<3>(y); });
     });
 }
 
 }  // namespace
 
-typedef nb::ndarray<const float, nb::ndim<3>, nb::c_contig, nb::device::cpu> Coefficients;
-
-void make_frozen(Frozen* self, const Coefficients& values, std::array<double, 3> first, std::array<double, 3> step) {
+void make_frozen(Frozen* self, const Solid<const float>& values, std::array<double, 3> first,
+                 std::array<double, 3> step) {
     int shape[3];
     for (int i = 0; i < 3; i++) {
         shape[i] = (int)values.shape(i);
@@ -158,8 +111,7 @@ void make_frozen(Frozen* self, const Coefficients& values, std::array<double, 3>
 }
 
 // m of points (N, 3), and its gradient.
-nb::object freedom(const Frozen& mask, const Doubles& points) {
-    if (points.shape(1) != 3) throw nb::value_error("points must have the shape (N, 3)");
+nb::object freedom(const Frozen& mask, const Triples& points) {
     const size_t count = points.shape(0);
     auto *values = new std::vector<double>(count), *slopes = new std::vector<double>(3 * count);
     nb::object made = nb::make_tuple(owned(values, {count}), owned(slopes, {count, 3}));

@@ -14,18 +14,38 @@ using namespace nb::literals;
 
 namespace supple {
 
-typedef nb::ndarray<const double, nb::ndim<2>, nb::c_contig, nb::device::cpu> Doubles;
+// Contiguous values of a type T, of SIZES along its axes: -1 for any.
+template <class T, nb::ssize_t... SIZES>
+using Array = nb::ndarray<T, nb::shape<SIZES...>, nb::c_contig, nb::device::cpu>;
+template <class T>
+using Solid = Array<T, -1, -1, -1>;
+typedef Array<const double, -1, -1> Doubles;
+typedef Array<const double, -1, 3> Triples;
+typedef Array<const double, 3, AXIS_NUMBERS> AxisRows;
+typedef std::optional<const Frozen*> Masking;  // a freeze mask, or none
 
-inline Axes axes_of(const Doubles& rows) {
-    if (rows.shape(0) != 3 || rows.shape(1) != AXIS_NUMBERS) throw nb::value_error("axes must have the shape (3, 5)");
-    return load_axes(rows.data());
-}
-// A freeze mask, or none.
-typedef std::optional<const Frozen*> Masking;
-
-inline std::vector<Stroke> strokes_of(const Doubles& rows, const Axis* axes, const Masking& freeze) {
+inline Strokes strokes_of(const Doubles& rows, const Axes& axes, const Masking& freeze) {
     if (rows.shape(0) && rows.shape(1) != STROKE_NUMBERS) throw nb::value_error("strokes must have 39 columns");
-    return load_strokes(rows.data(), rows.shape(0), axes, freeze.value_or(nullptr));
+    return Strokes(rows.data(), rows.shape(0), axes, freeze.value_or(nullptr));
+}
+inline Strokes strokes_of(const Doubles& rows, const AxisRows& axes, const Masking& freeze) {
+    return strokes_of(rows, load_axes(axes.data()), freeze);
+}
+
+// New values as an array that owns them.
+inline nb::object owned(std::vector<double>* made, std::initializer_list<size_t> shape) {
+    nb::capsule owner(made, [](void* p) noexcept { delete (std::vector<double>*)p; });
+    return nb::cast(nb::ndarray<nb::numpy, double>(made->data(), shape, owner));
+}
+
+// Call body(first, n) for batches of LANES points, of which the last may have fewer.
+template <class F>
+void each_batch(size_t count, F body) {
+    constexpr size_t TOGETHER = 512;  // points for a thread at once
+    parallel((int)((count + TOGETHER - 1) / TOGETHER), [&](int item, int) {
+        size_t first = (size_t)item * TOGETHER, end = std::min(first + TOGETHER, count);
+        for (size_t i = first; i < end; i += LANES) body(i, (int)std::min<size_t>(LANES, end - i));
+    });
 }
 
 // At exit, Python ends daemon threads that wait for its lock, within C++ code that cannot be unwound. So such threads

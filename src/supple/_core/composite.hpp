@@ -74,31 +74,13 @@ INLINE void pass_projective(const double (*m)[4], Jet<D, TANGENTS, MIXED, V>& je
             jet.smooth2[j] = least(jet.smooth2[j], V(w * w / most(slope[j] * slope[j], splat<V>(1e-300))));
 }
 
-// From positions to indices of a field, and back.
-template <int D, int TANGENTS, bool MIXED, class V>
-INLINE void to_indices(const Sampled& k, Jet<D, TANGENTS, MIXED, V>& jet) {
-    pass_affine<D>(k.to_index, jet);
-}
-template <int D, int TANGENTS, bool MIXED, class V>
-INLINE void to_places(const Sampled& k, Jet<D, TANGENTS, MIXED, V>& jet) {
-    double m[3][4];
-    for (int i = 0; i < D; i++) {
-        m[i][3] = 0;
-        for (int j = 0; j < D; j++) {
-            m[i][j] = k.to_place[i][j];
-            m[i][3] -= k.to_place[i][j] * k.to_index[j][3];
-        }
-    }
-    pass_affine<D>(m, jet);
-}
-
 constexpr double KNOTS = 4;  // samples over which a field is taken as smooth
 
 template <int D, int TANGENTS, bool MIXED, class V>
 NOINLINE void pass_field(const Sampled& k, bool solved, Jet<D, TANGENTS, MIXED, V>& jet, Passed<V>& passed) {
     typedef typename Masked<V>::type M;
     constexpr int ORDER = MIXED ? 2 : 1;
-    to_indices<D>(k, jet);
+    pass_affine<D>(k.to_index, jet);
     if constexpr (MIXED)
         for (int j = 0; j < 2; j++)
             jet.smooth2[j] =
@@ -114,15 +96,10 @@ NOINLINE void pass_field(const Sampled& k, bool solved, Jet<D, TANGENTS, MIXED, 
                 for (int a = 0; a < D; a++) full[b][a] = scale * at.dw[b][a] + double(a == b);
             passed.upright = both(passed.upright, determinant_of(full) > 0.0);
             if constexpr (MIXED) {
-                V r[D];
-                for (int a = 0; a < D; a++) r[a] = times<D>(full, jet.mixed, a) + scale * at.second[a];
-                for (int a = 0; a < D; a++) jet.mixed[a] = r[a];
+                transform<D>(full, jet.mixed);
+                for (int a = 0; a < D; a++) jet.mixed[a] += scale * at.second[a];
             }
-            for (int j = 0; j < TANGENTS; j++) {
-                V r[D];
-                for (int a = 0; a < D; a++) r[a] = times<D>(full, jet.t[j], a);
-                for (int a = 0; a < D; a++) jet.t[j][a] = r[a];
-            }
+            for (int j = 0; j < TANGENTS; j++) transform<D>(full, jet.t[j]);
         }
         for (int a = 0; a < D; a++) jet.x[a] += scale * at.w[a];
         passed.steps += 1.0;
@@ -147,19 +124,14 @@ NOINLINE void pass_field(const Sampled& k, bool solved, Jet<D, TANGENTS, MIXED, 
         for (int b = 0; b < D; b++)
             for (int a = 0; a < D; a++) found.m[b][a] = choose(still, splat<V>(double(a == b)), found.m[b][a]);
         for (int a = 0; a < D; a++) jet.x[a] = choose(still, jet.x[a], found.i[a]);
-        for (int j = 0; j < TANGENTS; j++) {
-            V r[D];
-            for (int a = 0; a < D; a++) r[a] = times<D>(found.m, jet.t[j], a);
-            for (int a = 0; a < D; a++) jet.t[j][a] = r[a];
-        }
+        for (int j = 0; j < TANGENTS; j++) transform<D>(found.m, jet.t[j]);
         if constexpr (MIXED) {
             field_at<D, 2, V>(k, jet.x, jet.t[0], jet.t[1], at);
-            V r[D];
-            for (int a = 0; a < D; a++) r[a] = jet.mixed[a] - choose(still, V{}, at.second[a]);
-            for (int a = 0; a < D; a++) jet.mixed[a] = times<D>(found.m, r, a);
+            for (int a = 0; a < D; a++) jet.mixed[a] -= choose(still, V{}, at.second[a]);
+            transform<D>(found.m, jet.mixed);
         }
     }
-    to_places<D>(k, jet);
+    pass_affine<D>(k.to_place, jet);
 }
 
 template <int D, int TANGENTS, bool MIXED, class V>
@@ -170,25 +142,18 @@ NOINLINE void pass_strokes(const Chain& chain, const Axis* axes, bool solved, Je
         passed.steps += 1.0;
         return;
     }
-    double finest = axes[0].spacing;
-    for (int d = 1; d < D; d++) finest = least(finest, axes[d].spacing);
     Solution<D, V> found;
-    undo<D>(chain, axes, jet.x, 1e-9 * finest, found);
+    undo<D>(chain, axes, jet.x, 1e-9 * finest_of<D>(axes), found);
     passed.done = both(passed.done, found.done);
     passed.steps += found.steps;
     for (int d = 0; d < D; d++) jet.x[d] = found.p[d];
-    for (int j = 0; j < TANGENTS; j++) {
-        V r[D];
-        for (int d = 0; d < D; d++) r[d] = times<D>(found.m, jet.t[j], d);
-        for (int d = 0; d < D; d++) jet.t[j][d] = r[d];
-    }
+    for (int j = 0; j < TANGENTS; j++) transform<D>(found.m, jet.t[j]);
     if constexpr (MIXED) {
         Jet<D, TANGENTS, true, V> there = jet;
         for (int d = 0; d < D; d++) there.mixed[d] = V{};
         carry(chain, axes, there);
-        V r[D];
-        for (int d = 0; d < D; d++) r[d] = jet.mixed[d] - there.mixed[d];
-        for (int d = 0; d < D; d++) jet.mixed[d] = times<D>(found.m, r, d);
+        for (int d = 0; d < D; d++) jet.mixed[d] -= there.mixed[d];
+        transform<D>(found.m, jet.mixed);
         for (int j = 0; j < 2; j++) jet.smooth2[j] = there.smooth2[j];
     }
 }
@@ -211,6 +176,22 @@ INLINE Passed<V> pass(const Composite& map, bool backwards, Jet<D, TANGENTS, MIX
         else
             pass_affine<D>(solved ? part.back : part.there, jet);
     }
+    return passed;
+}
+
+// Solve T(p) = q of a composite, with its derivatives.
+template <int D, bool MIXED, class V>
+INLINE Passed<V> solve_composite(const Composite& map, const V* q, Solved<D, V>& found) {
+    auto jet = jet_at<D, D, MIXED>(q);
+    const Passed<V> passed = pass<D>(map, true, jet);
+    for (int d = 0; d < D; d++) {
+        found.at.p[d] = jet.x[d];
+        if constexpr (MIXED) found.mixed[d] = jet.mixed[d];
+        for (int e = 0; e < D; e++) found.at.m[e][d] = jet.t[e][d];
+    }
+    for (int j = 0; MIXED && j < 2; j++) found.smooth2[j] = jet.smooth2[j];
+    found.at.done = passed.done;
+    found.at.steps = passed.steps;
     return passed;
 }
 

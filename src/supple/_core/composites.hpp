@@ -17,8 +17,7 @@ struct Field {
 // A composite with the memory of its parts.
 struct OwnComposite : Composite {
     std::vector<Part> held;
-    std::vector<std::vector<Stroke>> strokes;
-    std::vector<std::vector<int>> lists;
+    std::vector<Strokes> strokes;
 
     explicit OwnComposite(const Axes& axes) : Composite{} {
         smooth = true;
@@ -31,12 +30,9 @@ struct OwnComposite : Composite {
         parts = held.data();
         count = (int)held.size();
     }
-    Chain chain_of(std::vector<Stroke> some) {
-        std::vector<int> list(some.size());
-        for (size_t i = 0; i < list.size(); i++) list[i] = (int)i;
+    Chain chain_of(Strokes some) {
         strokes.push_back(std::move(some));
-        lists.push_back(std::move(list));
-        return {strokes.back().data(), lists.back().data(), (int)lists.back().size()};
+        return strokes.back().chain();
     }
 };
 

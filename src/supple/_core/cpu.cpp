@@ -22,14 +22,11 @@ int level() {
     if (all(c, bit_OSXSAVE)) __asm__("xgetbv" : "=a"(saved), "=d"(high) : "c"(0));
     if (!all(saved, 0x6) || !all(c, bit_AVX | bit_FMA | bit_F16C | bit_MOVBE)) return 2;
     if (!all(b7, bit_AVX2 | bit_BMI | bit_BMI2) || !all(extended, bit_LZCNT)) return 2;
-    if (!all(saved, 0xe6) || !all(b7, bit_AVX512F | bit_AVX512BW | bit_AVX512CD | bit_AVX512DQ | bit_AVX512VL))
-        return 3;
-    return 4;
+    return 3;
 }
 
 PyObject* isas(PyObject*, PyObject*) {
     switch (level()) {
-        case 4: return Py_BuildValue("(sss)", "v4", "v3", "v2");
         case 3: return Py_BuildValue("(ss)", "v3", "v2");
         case 2: return Py_BuildValue("(s)", "v2");
         default: return Py_BuildValue("()");

@@ -17,7 +17,7 @@ struct Sampled {
     bool zero;              // beyond the grid, there is no displacement
     double margin;          // of the grid, beyond `first` and `last`
     double to_index[3][4];  // A and b
-    double to_place[3][3];  // A⁻¹
+    double to_place[3][4];  // the same of its inverse
     double vectors[3][3];   // from a value to a displacement of the index
     bool diagonal;          // of `vectors`: there is nothing else
 };
@@ -33,32 +33,6 @@ inline int mirrored(int k, int n) {
     if (n == 1) return 0;
     while (k < 0 || k >= n) k = k < 0 ? -k : 2 * (n - 1) - k;
     return k;
-}
-
-// The weights of the samples from `whole` - (TAPS / 2 - 1) on, at a fraction f: [order of derivative][tap].
-template <int TAPS, class V>
-INLINE void spline_weights(V f, V (*w)[TAPS]) {
-    if constexpr (TAPS == 2) {
-        w[0][0] = 1.0 - f;
-        w[0][1] = f;
-        w[1][0] = splat<V>(-1.0);
-        w[1][1] = splat<V>(1.0);
-        w[2][0] = w[2][1] = V{};
-    } else {
-        V g = 1.0 - f, f2 = f * f, g2 = g * g;
-        w[0][0] = g2 * g / 6.0;
-        w[0][1] = (4.0 - f2 * (6.0 - 3.0 * f)) / 6.0;
-        w[0][2] = (4.0 - g2 * (6.0 - 3.0 * g)) / 6.0;
-        w[0][3] = f2 * f / 6.0;
-        w[1][0] = -0.5 * g2;
-        w[1][1] = f * (1.5 * f - 2.0);
-        w[1][2] = g * (2.0 - 1.5 * g);
-        w[1][3] = 0.5 * f2;
-        w[2][0] = g;
-        w[2][1] = 3.0 * f - 2.0;
-        w[2][2] = 3.0 * g - 2.0;
-        w[2][3] = f;
-    }
 }
 
 template <int D, int TAPS, int ORDER, class T, class V>
@@ -81,79 +55,37 @@ INLINE void sum_samples(const Sampled& k, const V* i, const V* a, const V* b, Lo
         spline_weights<TAPS>(f, weight[d]);
         stride *= k.size[d];
     }
-    const T* values = (const T*)k.values;
-    V raw[D] = {}, slope[D][D] = {}, second[6][D] = {};  // xx, xy, yy, xz, yz, zz
-    for (int n = 0; n < (D == 3 ? TAPS : 1); n++) {
-        V plane[D] = {}, plane_x[D] = {}, plane_y[D] = {}, plane_xx[D] = {}, plane_xy[D] = {}, plane_yy[D] = {};
-        for (int m = 0; m < TAPS; m++) {
-            V row[D] = {}, row_x[D] = {}, row_xx[D] = {};
-            const T* start[N];
-            for (int l = 0; l < N; l++) {
-                start[l] = values + at[1][m][l];
-                if constexpr (D == 3) start[l] += at[2][n][l];
-            }
-            for (int j = 0; j < TAPS; j++)
-                for (int d = 0; d < D; d++) {
-                    V v{};
-                    for (int l = 0; l < N; l++) set_lane(v, l, start[l][at[0][j][l] + d]);
-                    row[d] += weight[0][0][j] * v;
-                    if (ORDER > 0) row_x[d] += weight[0][1][j] * v;
-                    if (ORDER > 1) row_xx[d] += weight[0][2][j] * v;
-                }
+    auto rows = [&](int m, int j) INLINE_LAMBDA {
+        Starts<const T*, N> from;
+        for (int l = 0; l < N; l++) {
+            from.of[l] = (const T*)k.values + at[1][j][l];
+            if constexpr (D == 3) from.of[l] += at[2][m][l];
+        }
+        return [from, &at](int n, int d) INLINE_LAMBDA {
+            V v{};
+            for (int l = 0; l < Masked<V>::lanes; l++) set_lane(v, l, from.of[l][at[0][n][l] + d]);
+            return v;
+        };
+    };
+    V sums[ORDER + 1][ORDER + 1][ORDER + 1][D] = {}, p[D], q[D], bent[D] = {};
+    sum_taps<D, TAPS, ORDER, D>(weight, D == 3 ? TAPS : 1, rows, sums);
+    for (int d = 0; ORDER > 1 && d < D; d++) {
+        p[d] = inside[d] * a[d];
+        q[d] = inside[d] * b[d];
+    }
+    for (int e = 0; ORDER > 1 && e < D; e++)
+        for (int f = 0; f <= e; f++)
             for (int d = 0; d < D; d++) {
-                plane[d] += weight[1][0][m] * row[d];
-                if (ORDER > 0) {
-                    plane_x[d] += weight[1][0][m] * row_x[d];
-                    plane_y[d] += weight[1][1][m] * row[d];
-                }
-                if (ORDER > 1) {
-                    plane_xx[d] += weight[1][0][m] * row_xx[d];
-                    plane_xy[d] += weight[1][1][m] * row_x[d];
-                    plane_yy[d] += weight[1][2][m] * row[d];
-                }
+                const V second = sums[(e == 2) + (f == 2)][(e == 1) + (f == 1)][(e == 0) + (f == 0)][d];
+                bent[d] += e == f ? second * p[e] * q[e] : second * (p[f] * q[e] + p[e] * q[f]);
             }
-        }
-        V own = splat<V>(1.0), rise{}, bend{};
-        if constexpr (D == 3) {
-            own = weight[2][0][n];
-            rise = weight[2][1][n];
-            bend = weight[2][2][n];
-        }
-        for (int d = 0; d < D; d++) {
-            raw[d] += own * plane[d];
-            if (ORDER > 0) {
-                slope[0][d] += own * plane_x[d];
-                slope[1][d] += own * plane_y[d];
-                if constexpr (D == 3) slope[2][d] += rise * plane[d];
-            }
-            if (ORDER > 1) {
-                second[0][d] += own * plane_xx[d];
-                second[1][d] += own * plane_xy[d];
-                second[2][d] += own * plane_yy[d];
-                second[3][d] += rise * plane_x[d];
-                second[4][d] += rise * plane_y[d];
-                second[5][d] += bend * plane[d];
-            }
-        }
-    }
-    V bent[D] = {};
-    if (ORDER > 1) {
-        V p[3] = {}, q[3] = {};
-        for (int d = 0; d < D; d++) {
-            p[d] = inside[d] * a[d];
-            q[d] = inside[d] * b[d];
-        }
-        for (int d = 0; d < D; d++)
-            bent[d] = second[0][d] * p[0] * q[0] + second[1][d] * (p[0] * q[1] + p[1] * q[0]) +
-                      second[2][d] * p[1] * q[1] + second[3][d] * (p[0] * q[2] + p[2] * q[0]) +
-                      second[4][d] * (p[1] * q[2] + p[2] * q[1]) + second[5][d] * p[2] * q[2];
-    }
     for (int r = 0; r < D; r++) {
         found.w[r] = found.second[r] = V{};
         for (int e = 0; e < D; e++) found.dw[e][r] = V{};
         for (int d = 0; d < D; d++) {
-            found.w[r] += k.vectors[r][d] * raw[d];
-            for (int e = 0; ORDER > 0 && e < D; e++) found.dw[e][r] += k.vectors[r][d] * slope[e][d] * inside[e];
+            found.w[r] += k.vectors[r][d] * sums[0][0][0][d];
+            for (int e = 0; ORDER > 0 && e < D; e++)
+                found.dw[e][r] += k.vectors[r][d] * sums[e == 2][e == 1][e == 0][d] * inside[e];
             if (ORDER > 1) found.second[r] += k.vectors[r][d] * bent[d];
         }
     }
@@ -451,21 +383,15 @@ INLINE void undo_field_surely(const Sampled& k, const V* target, double toleranc
             for (int d = 0; d < D; d++) start[d] = goal[d] - at.w[d];
             known = follow_field<D>(k, goal, start, tolerance, one);
         }
-        if constexpr (Masked<V>::lanes == 1) {
-            double steps = found.steps + one.steps;
-            if (known) found = one;
-            found.steps = steps;
-        } else {
-            found.steps[l] += one.steps;
-            if (!known) continue;
-            for (int d = 0; d < D; d++) {
-                found.i[d][l] = one.i[d];
-                for (int j = 0; j < D; j++) found.m[j][d][l] = one.m[j][d];
-            }
-            found.determinant[l] = one.determinant;
-            found.step2[l] = one.step2;
-            found.done[l] = -1;
+        set_lane(found.steps, l, lane(found.steps, l) + one.steps);
+        if (!known) continue;
+        for (int d = 0; d < D; d++) {
+            set_lane(found.i[d], l, one.i[d]);
+            for (int j = 0; j < D; j++) set_lane(found.m[j][d], l, one.m[j][d]);
         }
+        set_lane(found.determinant, l, one.determinant);
+        set_lane(found.step2, l, one.step2);
+        set_lane(found.done, l, true);
     }
 }
 

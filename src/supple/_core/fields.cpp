@@ -27,11 +27,6 @@ bool is_smooth(const Sampled& k, const Axis* axes, int ndim) {
     return k.order == 3 && per_pixel <= 0.25;
 }
 
-nb::object owned(std::vector<double>* made, std::initializer_list<size_t> shape) {
-    nb::capsule owner(made, [](void* p) noexcept { delete (std::vector<double>*)p; });
-    return nb::cast(nb::ndarray<nb::numpy, double>(made->data(), shape, owner));
-}
-
 constexpr double ROUNDING = 0x1p-48;  // of a number that a part computes, relative to what it is computed from
 
 // A bound of the rounding of a part, from the sizes of the numbers in it.
@@ -61,33 +56,25 @@ Passed<Lanes> pass_with_error(const Composite& map, bool backwards, const double
         Composite one = map;
         one.parts += which;
         one.count = 1;
-        Jet<D, D, false, Lanes> own;
-        Jet<D, 0, false, Lanes> again;
-        for (int d = 0; d < D; d++) {
-            own.x[d] = jet.x[d];
-            for (int j = 0; j < D; j++) own.t[j][d] = splat<Lanes>(d == j);
-        }
+        auto own = jet_at<D, D>(jet.x);
         const Passed<Lanes> through = pass<D>(one, backwards, own);
         passed.done = both(passed.done, through.done);
         passed.within = both(passed.within, through.within);
         passed.upright = both(passed.upright, through.upright);
         passed.steps += through.steps;
-        Lanes norm2{}, off[D], step2{}, size{};
+        Lanes norm2{}, off[D], size{};
         for (int d = 0; d < D; d++) {
-            again.x[d] = own.x[d];
             size += magnitude(jet.x[d]) + magnitude(own.x[d]);
             for (int j = 0; j < D; j++) norm2 += own.t[j][d] * own.t[j][d];
         }
         const Lanes norm = root(norm2);
         error *= norm;
         if (one.parts->kind != AFFINE && one.parts->inverted != backwards) {
+            auto again = jet_at<D, 0>(own.x);
             pass<D>(one, !backwards, again);
             for (int d = 0; d < D; d++) off[d] = again.x[d] - jet.x[d];
-            for (int d = 0; d < D; d++) {
-                const Lanes v = times<D>(own.t, off, d);
-                step2 += v * v;
-            }
-            error += 4.0 * root(step2);
+            transform<D>(own.t, off);
+            error += 4.0 * root(dot<D>(off, off));
         }
         error += (1.0 + norm) * (rounding[which] + ROUNDING * size);
         for (int d = 0; d < D; d++) jet.x[d] = own.x[d];
@@ -95,57 +82,43 @@ Passed<Lanes> pass_with_error(const Composite& map, bool backwards, const double
     return passed;
 }
 
-// Points (N, 3) through a composite: the points, the derivatives or none, bounds on their errors or none, and which are
-// solved, within, and upright.
-template <int D>
-void pass_points(const Composite& map, bool backwards, const double* from, size_t count, double* to, double* matrices,
-                 double* errors, uint8_t* status, double* steps) {
-    std::vector<double> rounding;
-    for (int n = 0; errors && n < map.count; n++) rounding.push_back(rounding_of<D>(map.parts[n], map.axes));
-    constexpr size_t TOGETHER = 256;
-    parallel((int)((count + TOGETHER - 1) / TOGETHER), [&](int item, int) {
-        size_t first = (size_t)item * TOGETHER, end = std::min(first + TOGETHER, count);
-        for (size_t start = first; start < end; start += LANES) {
-            Jet<D, D, false, Lanes> jet;
-            int n = (int)std::min<size_t>(LANES, end - start);
-            for (int d = 0; d < D; d++) {
-                for (int l = 0; l < LANES; l++) jet.x[d][l] = from[3 * (start + std::min(l, n - 1)) + d];
-                for (int j = 0; j < D; j++) jet.t[j][d] = splat<Lanes>(d == j);
-            }
-            Lanes error{};
+// Points (N, 3) through a composite: the points, the derivatives or none, and the evaluations; with bounds on their
+// errors or none, and which are solved, within, and upright.
+nb::object through(const AnyComposite& any, const Triples& points, bool backwards, bool jacobian,
+                   Array<uint8_t, -1> status, std::optional<Array<double, -1>> errors) {
+    if (status.shape(0) != points.shape(0) || (errors && (jacobian || errors->shape(0) != points.shape(0))))
+        throw nb::value_error("status and errors must be as many as points, without derivatives");
+    const Composite& map = *any.held;
+    const size_t count = points.shape(0);
+    auto *moved = new std::vector<double>(points.data(), points.data() + 3 * count),
+         *steps = new std::vector<double>(count), *matrices = new std::vector<double>(jacobian ? 9 * count : 0);
+    nb::object first = owned(moved, {count, 3}), second = owned(matrices, {matrices->size() / 9, 3, 3}),
+               third = owned(steps, {count});
+    const double* from = points.data();
+    auto run = [&]<int D>() {
+        std::vector<double> rounding;
+        for (int n = 0; errors && n < map.count; n++) rounding.push_back(rounding_of<D>(map.parts[n], map.axes));
+        each_batch(count, [&](size_t start, int n) {
+            Lanes x[D], error{};
+            for (int d = 0; d < D; d++)
+                for (int l = 0; l < LANES; l++) x[d][l] = from[3 * (start + std::min(l, n - 1)) + d];
+            auto jet = jet_at<D, D>(x);
             const Passed<Lanes> passed =
                 errors ? pass_with_error<D>(map, backwards, rounding.data(), jet, error) : pass<D>(map, backwards, jet);
             for (int l = 0; l < n; l++) {
-                if (errors) errors[start + l] = passed.done[l] ? error[l] : std::numeric_limits<double>::infinity();
+                const size_t at = start + l;
+                if (errors) errors->data()[at] = passed.done[l] ? error[l] : std::numeric_limits<double>::infinity();
                 for (int d = 0; d < D; d++) {
-                    to[3 * (start + l) + d] = jet.x[d][l];
-                    for (int j = 0; matrices && j < D; j++) matrices[9 * (start + l) + 3 * d + j] = jet.t[j][d][l];
+                    (*moved)[3 * at + d] = jet.x[d][l];
+                    for (int j = 0; jacobian && j < D; j++) (*matrices)[9 * at + 3 * d + j] = jet.t[j][d][l];
                 }
-                steps[start + l] = passed.steps[l];
-                status[start + l] = (passed.done[l] ? 0 : 4) | (passed.within[l] ? 0 : 2) | (passed.upright[l] ? 0 : 1);
+                (*steps)[at] = passed.steps[l];
+                status.data()[at] = (passed.done[l] ? 0 : 4) | (passed.within[l] ? 0 : 2) | (passed.upright[l] ? 0 : 1);
             }
-        }
-    });
-}
-
-nb::object through(const AnyComposite& map, const Doubles& points, bool backwards, bool jacobian,
-                   nb::ndarray<uint8_t, nb::ndim<1>, nb::c_contig, nb::device::cpu> status,
-                   std::optional<nb::ndarray<double, nb::ndim<1>, nb::c_contig, nb::device::cpu>> errors) {
-    if (points.shape(1) != 3 || status.shape(0) != points.shape(0) ||
-        (errors && (jacobian || errors->shape(0) != points.shape(0))))
-        throw nb::value_error("points must have the shape (N, 3), and status and errors (N,), without derivatives");
-    size_t count = points.shape(0);
-    auto *moved = new std::vector<double>(points.data(), points.data() + 3 * count),
-         *steps = new std::vector<double>(count);
-    nb::object first = owned(moved, {count, 3}), second = nb::none(), third = owned(steps, {count});
-    std::vector<double>* matrices = nullptr;
-    if (jacobian) second = owned(matrices = new std::vector<double>(9 * count), {count, 3, 3});
-    auto run = map.ndim == 2 ? pass_points<2> : pass_points<3>;
-    unlocked([&] {
-        run(*map.held, backwards, points.data(), count, moved->data(), matrices ? matrices->data() : nullptr,
-            errors ? errors->data() : nullptr, status.data(), steps->data());
-    });
-    return nb::make_tuple(first, second, third);
+        });
+    };
+    unlocked([&] { any.ndim == 2 ? run.template operator()<2>() : run.template operator()<3>(); });
+    return nb::make_tuple(first, jacobian ? second : nb::none(), third);
 }
 
 // ---- inverses -------------------------------------------------------------------------------------------------------
@@ -379,8 +352,9 @@ void bind_fields(nb::module_& m) {
                 k.margin = margin;
                 double matrix[3][4];
                 fill_matrix(to_index, n, n + 1, k.to_index);
-                fill_matrix(to_place, n, n, matrix);
-                for (int i = 0; i < n; i++) std::copy(matrix[i], matrix[i] + n, k.to_place[i]);
+                fill_matrix(to_place, n, n, k.to_place);
+                for (int i = 0; i < n; i++)
+                    for (int j = 0; j < n; j++) k.to_place[i][3] -= k.to_place[i][j] * k.to_index[j][3];
                 fill_matrix(vectors, n, n, matrix);
                 k.diagonal = true;
                 for (int i = 0; i < n; i++)
@@ -396,8 +370,8 @@ void bind_fields(nb::module_& m) {
     nb::class_<AnyComposite>(m, "Composite", "Strokes, affine maps and sampled fields, one after the other.")
         .def(
             "__init__",
-            [](AnyComposite* self, int ndim, const Doubles& rows, nb::list parts, nb::object freeze) {
-                auto map = std::make_shared<OwnComposite>(axes_of(rows));
+            [](AnyComposite* self, int ndim, const AxisRows& rows, nb::list parts, nb::object freeze) {
+                auto map = std::make_shared<OwnComposite>(load_axes(rows.data()));
                 std::vector<nb::object> kept{freeze};
                 for (nb::handle h : parts) {
                     nb::tuple item = nb::cast<nb::tuple>(h);
@@ -421,7 +395,7 @@ void bind_fields(nb::module_& m) {
                     } else {
                         part.kind = STROKES;
                         part.chain =
-                            map->chain_of(strokes_of(nb::cast<Doubles>(item[1]), map->axes, nb::cast<Masking>(freeze)));
+                            map->chain_of(strokes_of(nb::cast<Doubles>(item[1]), rows, nb::cast<Masking>(freeze)));
                     }
                     map->add(part);
                 }

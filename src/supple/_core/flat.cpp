@@ -76,24 +76,21 @@ nb::bytes flatten(nb::list maps, uint64_t base) {
     Map* first = block.put((const Map*)nullptr, maps.size());
     for (nb::handle h : maps) {
         nb::tuple item = nb::cast<nb::tuple>(h);
-        const Axes axes = axes_of(nb::cast<Doubles>(item[1]));
         const auto composite = nb::cast<std::optional<const AnyComposite*>>(item[2]).value_or(nullptr);
         const Masking freeze = nb::cast<Masking>(item[3]);
-        const std::vector<Stroke> strokes = strokes_of(nb::cast<Doubles>(item[0]), axes.data(), freeze);
+        const Strokes strokes = strokes_of(nb::cast<Doubles>(item[0]), nb::cast<AxisRows>(item[1]), freeze);
         bool subject = composite && freeze && *freeze;
         Map map{};
         map.limited = true;
-        for (const Stroke& k : strokes) {
+        for (const Stroke& k : strokes.table) {
             subject = subject || k.freeze;
             map.limited = map.limited && k.per_reach > 0;
         }
         const Freeze* mask = subject ? flattened(block, **freeze) : nullptr;
         map.freeze = composite ? nullptr : mask;
-        std::vector<int> list(strokes.size());
-        for (size_t i = 0; i < list.size(); i++) list[i] = (int)i;
-        map.chain = flattened(block, Chain{strokes.data(), list.data(), (int)list.size()}, mask);
+        map.chain = flattened(block, strokes.chain(), mask);
         if (composite) map.composite = flattened(block, *composite->held, composite->ndim, mask);
-        std::copy(axes.begin(), axes.end(), map.axes);
+        std::copy(strokes.axes.begin(), strokes.axes.end(), map.axes);
         block.set(first++, map);
     }
     return nb::bytes(block.data(), block.size());

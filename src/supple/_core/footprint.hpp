@@ -158,20 +158,8 @@ NOINLINE P spots(const Level& level, int n, N x, N y, N ux, N uy, N length, N w2
     return sum * (N(1) / n);
 }
 
-// The footprint with the eigenvalues `large` and `small`, in samples of a level.
-template <class P, class N, class Level>
-INLINE P in_level(const Level& level, N x, N y, N ux, N uy, N large, N small) {
-    N length = root(most(large - 1, N(0))), w2 = least(most(small - 1, N(0)), N(FLATTEST));
-    N v = length / N(PER_SPOT);
-    int n = (int)v + 1 < MOST_SPOTS ? (int)v + 1 : MOST_SPOTS;
-    P mean = spots<P>(level, n, x, y, ux, uy, length, w2);
-    N fade = (v - (n - 1) - N(FADES)) / N(1 - FADES);
-    if (fade > 0 && n < MOST_SPOTS) mean += smooth(fade) * (spots<P>(level, n + 1, x, y, ux, uy, length, w2) - mean);
-    return mean;
-}
-
 // Any footprint, of S = (xx, xy; xy, yy), at (x, y). `levels.count` levels of a pyramid are above the samples
-// themselves; levels.in(k, use) calls use(level) with the k-th.
+// themselves; levels.spots(k, …) are `spots` in the k-th.
 template <class P, class N, class Levels>
 NOINLINE P wide(const Levels& levels, N x, N y, N xx, N xy, N yy) {
     N h = (xx + yy) / 2, e = (xx - yy) / 2, d = root(e * e + xy * xy) + N(1e-12), large = h + d, small = h - d;
@@ -183,8 +171,14 @@ NOINLINE P wide(const Levels& levels, N x, N y, N xx, N xy, N yy) {
     auto level = [&](int k) {
         N scale = N(1) / (1 << k), area = scale * scale;
         N u = k ? (x + N(0.5)) * scale - N(0.5) : x, v = k ? (y + N(0.5)) * scale - N(0.5) : y;
-        return levels.in(
-            k, [&](const auto& level) { return in_level<P>(level, u, v, ux, uy, large * area, small * area); });
+        N length = root(most(large * area - 1, N(0))), w2 = least(most(small * area - 1, N(0)), N(FLATTEST));
+        N apart = length / N(PER_SPOT);
+        int n = (int)apart + 1 < MOST_SPOTS ? (int)apart + 1 : MOST_SPOTS;
+        auto mean_of = [&](int n) { return levels.spots(k, n, u, v, ux, uy, length, w2); };
+        P mean = mean_of(n);
+        N fade = (apart - (n - 1) - N(FADES)) / N(1 - FADES);
+        if (fade > 0 && n < MOST_SPOTS) mean += smooth(fade) * (mean_of(n + 1) - mean);
+        return mean;
     };
     P v = level(k);
     N fade = least((want - N(SQUARE)) / N(LEVEL - SQUARE), N(1));

@@ -33,63 +33,97 @@ struct Freed {
     V m, slope[D], bend[D][D], smooth;
 };
 
-// The weights of the four coefficients around a part of the way from the second to the third, and their derivatives.
-template <int ORDER, class V>
-INLINE void spline_weights(V t, double per_step, V (*w)[4]) {
-    const V s = 1 - t;
-    const double sixth = 1.0 / 6;
-    w[0][0] = sixth * s * s * s;
-    w[0][1] = sixth * (4 - 3 * t * t * (2 - t));
-    w[0][2] = sixth * (4 - 3 * s * s * (2 - s));
-    w[0][3] = sixth * t * t * t;
-    if (ORDER > 0) {
-        const double a = 0.5 * per_step;
-        w[1][0] = -a * s * s;
-        w[1][1] = a * t * (3 * t - 4);
-        w[1][2] = -a * s * (3 * s - 4);
-        w[1][3] = a * t * t;
-    }
-    if (ORDER > 1) {
-        const double b = per_step * per_step;
-        w[2][0] = b * s;
-        w[2][1] = b * (3 * t - 2);
-        w[2][2] = b * (3 * s - 2);
-        w[2][3] = b * t;
+// The weights of the TAPS samples of a linear or cubic B-spline around a fraction f of the way between the two in the
+// middle, and their derivatives: [order][tap].
+template <int TAPS, class V>
+INLINE void spline_weights(V f, V (*w)[TAPS]) {
+    V g = 1.0 - f;
+    if constexpr (TAPS == 2) {
+        w[0][0] = g;
+        w[0][1] = f;
+        w[1][0] = splat<V>(-1.0);
+        w[1][1] = splat<V>(1.0);
+        w[2][0] = w[2][1] = V{};
+    } else {
+        V f2 = f * f, g2 = g * g;
+        w[0][0] = g2 * g / 6.0;
+        w[0][1] = (4.0 - f2 * (6.0 - 3.0 * f)) / 6.0;
+        w[0][2] = (4.0 - g2 * (6.0 - 3.0 * g)) / 6.0;
+        w[0][3] = f2 * f / 6.0;
+        w[1][0] = -0.5 * g2;
+        w[1][1] = f * (1.5 * f - 2.0);
+        w[1][2] = g * (2.0 - 1.5 * g);
+        w[1][3] = 0.5 * f2;
+        w[2][0] = g;
+        w[2][1] = 3.0 * f - 2.0;
+        w[2][2] = 3.0 * g - 2.0;
+        w[2][3] = f;
     }
 }
 
-// In the cells `at` of some points, at their `part`; [n][k] of the sums: the n-th derivative along x, of the k-th along
-// y and so on.
-template <int D, int ORDER, class V>
-NOINLINE void freed_in(const Freeze& f, const int (*at)[D], const V* part, V& m, V* slope, V (*bend)[D]) {
-    V w[D][3][4];
-    for (int d = 0; d < D; d++) spline_weights<ORDER>(part[d], f.per_step[d], w[d]);
-    V sums[ORDER + 1][ORDER + 1][ORDER + 1] = {};  // by the derivatives along z, y and x
-    const int deep = D == 3 && f.size[2] > 1 ? 4 : 1;
+// The first sample of a row, for each lane.
+template <class P, int N>
+struct Starts {
+    P of[N];
+};
+
+// Sum C numbers of samples, times their weights along D axes, of which the third has `deep` taps: [p][o][n] of the sums
+// is the p-th derivative along z of the o-th along y of the n-th along x, up to ORDER in all. rows(k, j)(i, c) is the
+// number c of a sample.
+template <int D, int TAPS, int ORDER, int C, class V, class Rows>
+INLINE void sum_taps(const V (*w)[3][TAPS], int deep, Rows rows, V (*sums)[ORDER + 1][ORDER + 1][C]) {
     for (int k = 0; k < deep; k++) {
-        V plane[ORDER + 1][ORDER + 1] = {};
-        for (int j = 0; j < 4; j++) {
-            V row[4] = {};
-            for (int l = 0; l < Masked<V>::lanes; l++) {
-                const int z = deep > 1 ? at[l][D - 1] - 1 + k : 0, y = f.size[1] > 1 ? at[l][1] - 1 + j : 0;
-                const float* from = f.values + ((int64_t)z * f.size[1] + y) * f.size[0];
-                for (int i = 0; i < 4; i++) set_lane(row[i], l, from[f.size[0] > 1 ? at[l][0] - 1 + i : 0]);
-            }
-            for (int n = 0; n <= ORDER; n++) {
-                V sum = {};
-                for (int i = 0; i < 4; i++) sum += w[0][n][i] * row[i];
-                for (int o = 0; o + n <= ORDER; o++) plane[o][n] += w[1][o][j] * sum;
-            }
+        V plane[ORDER + 1][ORDER + 1][C] = {};
+        for (int j = 0; j < TAPS; j++) {
+            V row[ORDER + 1][C] = {};
+            const auto sample = rows(k, j);
+            for (int i = 0; i < TAPS; i++)
+                for (int c = 0; c < C; c++) {
+                    const V v = sample(i, c);
+                    for (int n = 0; n <= ORDER; n++) row[n][c] += w[0][n][i] * v;
+                }
+            for (int n = 0; n <= ORDER; n++)
+                for (int o = 0; o + n <= ORDER; o++)
+                    for (int c = 0; c < C; c++) plane[o][n][c] += w[1][o][j] * row[n][c];
         }
-        for (int p = 0; p <= ORDER; p++)
+        for (int p = 0; p <= (D == 3 ? ORDER : 0); p++)
             for (int o = 0; o + p <= ORDER; o++)
                 for (int n = 0; n + o + p <= ORDER; n++)
-                    sums[p][o][n] += (deep > 1 ? w[D - 1][p][k] : splat<V>(p == 0)) * plane[o][n];
+                    for (int c = 0; c < C; c++)
+                        sums[p][o][n][c] += (deep > 1 ? w[D - 1][p][k] : splat<V>(p == 0)) * plane[o][n][c];
     }
-    m = sums[0][0][0];
-    for (int d = 0; d < D && ORDER > 0; d++) slope[d] = sums[d == 2][d == 1][d == 0];
+}
+
+// In the cells `at` of some points, at their `part`.
+template <int D, int ORDER, class V>
+NOINLINE void freed_in(const Freeze& f, const int (*at)[D], const V* part, V& m, V* slope, V (*bend)[D]) {
+    V w[D][3][4], sums[ORDER + 1][ORDER + 1][ORDER + 1][1] = {};
+    for (int d = 0; d < D; d++) {
+        spline_weights<4>(part[d], w[d]);
+        for (int i = 0; i < 4; i++) {
+            w[d][1][i] *= f.per_step[d];
+            w[d][2][i] *= f.per_step[d] * f.per_step[d];
+        }
+    }
+    const int step = f.size[0] > 1;
+    auto rows = [&](int k, int j) INLINE_LAMBDA {
+        Starts<const float*, Masked<V>::lanes> from;
+        for (int l = 0; l < Masked<V>::lanes; l++) {
+            const int x = step ? at[l][0] - 1 : 0, y = f.size[1] > 1 ? at[l][1] - 1 + j : 0;
+            const int z = D == 3 && f.size[2] > 1 ? at[l][D - 1] - 1 + k : 0;
+            from.of[l] = f.values + ((int64_t)z * f.size[1] + y) * f.size[0] + x;
+        }
+        return [from, step](int i, int) INLINE_LAMBDA {
+            V v{};
+            for (int l = 0; l < Masked<V>::lanes; l++) set_lane(v, l, from.of[l][i * step]);
+            return v;
+        };
+    };
+    sum_taps<D, 4, ORDER, 1>(w, D == 3 && f.size[2] > 1 ? 4 : 1, rows, sums);
+    m = sums[0][0][0][0];
+    for (int d = 0; d < D && ORDER > 0; d++) slope[d] = sums[d == 2][d == 1][d == 0][0];
     for (int d = 0; d < D && ORDER > 1; d++)
-        for (int e = 0; e < D; e++) bend[d][e] = sums[(d == 2) + (e == 2)][(d == 1) + (e == 1)][(d == 0) + (e == 0)];
+        for (int e = 0; e < D; e++) bend[d][e] = sums[(d == 2) + (e == 2)][(d == 1) + (e == 1)][(d == 0) + (e == 0)][0];
 }
 
 template <int D, int ORDER, class V>

@@ -25,6 +25,23 @@ struct MaskBounds {
     bool is_level() const { return all[1] == 0 && all[2] == 0; }
 };
 
+// Replace 255 by the distance to the nearest 0 of a grid, the largest of those along the axes, or leave it if that is
+// farther: by a sweep from either end, each from the finished neighbours.
+inline void to_distances(const int* n, uint8_t* out) {
+    const int64_t total = (int64_t)n[0] * n[1] * n[2];
+    for (int way : {1, -1})
+        for (int64_t i = 0; i < total; i++) {
+            const int64_t at = way > 0 ? i : total - 1 - i;
+            const int a = int(at % n[0]), b = int(at / n[0] % n[1]), c = int(at / n[0] / n[1]);
+            for (int other = 0; other < 13 && out[at] > 1; other++) {  // of 27, in the order of memory
+                const int x = a + way * (other % 3 - 1), y = b + way * (other / 3 % 3 - 1),
+                          z = c + way * (other / 9 - 1);
+                if (x < 0 || x >= n[0] || y < 0 || y >= n[1] || z < 0 || z >= n[2]) continue;
+                out[at] = (uint8_t)std::min<int>(out[at], out[((int64_t)z * n[1] + y) * n[0] + x] + 1);
+            }
+        }
+}
+
 class Frozen : public Freeze {
 public:
     // Of coefficients (nz, ny, nx), from 0 to 1. Along an axis of several, the outermost four are equal.
@@ -52,8 +69,7 @@ public:
                     if (!found.is_level()) distances[((size_t)z * n[1] + y) * n[0] + x] = 0;
                     if (found.most() == 0) enclose({x, y, z});
                 }
-        measure(1);
-        measure(-1);
+        to_distances(n, distances.data());
         calm = distances.data();
         while (levels.back().bounds.size() > 1) halve();
     }
@@ -84,52 +100,43 @@ public:
     //
     // A polynomial is in the hull of its Bézier points, of a common degree for all components of the vector.
     int gradients_in(const double* low, const double* high, double (*found)[3]) const {
-        double w[3][4][4] = {}, dw[3][4][4] = {};
-        int from[3], n[3];
+        double w[2][3][4][4] = {};  // of values, and of derivatives
+        int from[3] = {}, n[3];
         for (int i = 0; i < 3; i++) {
             n[i] = size[i] > 1 ? 4 : 1;
-            from[i] = 0;
             if (n[i] == 1) {
-                w[i][0][0] = 1;
+                w[0][i][0][0] = 1;
                 continue;
             }
             double a, b;
             const int cell = cell_of(*this, i, low[i], a), last = cell_of(*this, i, high[i], b);
             if (last != cell && !(last == cell + 1 && b < 1e-9)) return 0;
             from[i] = cell - 1;
-            b += last - cell;
-            bezier_weights(a, b, per_step[i], w[i], dw[i]);
+            bezier_weights(a, b + (last - cell), per_step[i], w[0][i], w[1][i]);
         }
-        double x[2][4][4][4] = {}, y[3][4][4][4] = {};  // [k][j][i], of ∂/∂x, ∂/∂y and ∂/∂z
-        for (int k = 0; k < n[2]; k++)
-            for (int j = 0; j < n[1]; j++) {
-                const float* row = values + ((int64_t)(from[2] + k) * size[1] + from[1] + j) * size[0] + from[0];
-                for (int p = 0; p < n[0]; p++)
-                    for (int i = 0; i < n[0]; i++) {
-                        x[0][k][j][p] += w[0][p][i] * row[i];
-                        x[1][k][j][p] += dw[0][p][i] * row[i];
-                    }
-            }
-        for (int k = 0; k < n[2]; k++)
-            for (int q = 0; q < n[1]; q++)
-                for (int j = 0; j < n[1]; j++)
-                    for (int p = 0; p < n[0]; p++) {
-                        y[0][k][q][p] += w[1][q][j] * x[1][k][j][p];
-                        y[1][k][q][p] += dw[1][q][j] * x[0][k][j][p];
-                        y[2][k][q][p] += w[1][q][j] * x[0][k][j][p];
-                    }
+        const int end = n[2] > 1 ? 64 : n[1] > 1 ? 16 : 4;
         int count = 0;
-        for (int r = 0; r < n[2]; r++)
-            for (int q = 0; q < n[1]; q++)
-                for (int p = 0; p < n[0]; p++, count++) {
-                    double* g = found[count];
-                    g[0] = g[1] = g[2] = 0;
-                    for (int k = 0; k < n[2]; k++) {
-                        g[0] += w[2][r][k] * y[0][k][q][p];
-                        g[1] += w[2][r][k] * y[1][k][q][p];
-                        g[2] += dw[2][r][k] * y[2][k][q][p];
-                    }
+        for (int d = 0; d < 3; d++) {  // the coefficients around, axis by axis
+            double c[64] = {}, next[64];
+            for (int k = 0; k < n[2]; k++)
+                for (int j = 0; j < n[1]; j++)
+                    for (int i = 0; i < n[0]; i++)
+                        c[16 * k + 4 * j + i] =
+                            values[((int64_t)(from[2] + k) * size[1] + from[1] + j) * size[0] + from[0] + i];
+            for (int axis = 0; axis < 3; axis++) {
+                const int stride = 1 << 2 * axis;
+                for (int m = 0; m < end; m++) {
+                    const int p = m / stride % 4;
+                    next[m] = 0;
+                    for (int i = 0; i < n[axis]; i++) next[m] += w[d == axis][axis][p][i] * c[m + (i - p) * stride];
                 }
+                std::copy(next, next + end, c);
+            }
+            count = 0;
+            for (int r = 0; r < n[2]; r++)
+                for (int q = 0; q < n[1]; q++)
+                    for (int p = 0; p < n[0]; p++) found[count++][d] = c[16 * r + 4 * q + p];
+        }
         return count;
     }
     // The knot nearest to a coordinate; itself along an axis without.
@@ -166,9 +173,10 @@ private:
                 w[p][c] = (1 - t[2]) * d[0] + t[2] * d[1];
             }
         if (!(b - a > 1e-9)) {  // at a point, the slope is that of the whole cell there
-            double slope[3][4];
-            spline_weights<1>(a, per_step, slope);
-            for (int p = 0; p < 4; p++) std::copy(slope[1], slope[1] + 4, dw[p]);
+            double weights[3][4];
+            spline_weights<4>(a, weights);
+            for (int p = 0; p < 4; p++)
+                for (int c = 0; c < 4; c++) dw[p][c] = per_step * weights[1][c];
             return;
         }
         const double scale = 3 * per_step / (b - a);
@@ -254,23 +262,6 @@ private:
             if (i / stride % 4 < left) at[i] = at[i + stride] - at[i];
     }
 
-    // The distance to a cell where m varies, by a sweep: the largest of those along the axes.
-    void measure(int way) {
-        const int* n = size;
-        const int64_t count = (int64_t)distances.size();
-        for (int64_t s = 0; s < count; s++) {
-            const int64_t i = way > 0 ? s : count - 1 - s;
-            const int x = int(i % n[0]), y = int(i / n[0] % n[1]), z = int(i / n[0] / n[1]);
-            for (int dz = -1; dz <= 0; dz++)
-                for (int dy = -1; dy <= (dz < 0 ? 1 : 0); dy++)
-                    for (int dx = -1; dx <= (dz < 0 || dy < 0 ? 1 : -1); dx++) {
-                        const int a = x + way * dx, b = y + way * dy, c = z + way * dz;
-                        if (a < 0 || b < 0 || c < 0 || a >= n[0] || b >= n[1] || c >= n[2]) continue;
-                        const int beside = distances[((size_t)c * n[1] + b) * n[0] + a];
-                        if (beside + 1 < distances[i]) distances[i] = (uint8_t)(beside + 1);
-                    }
-        }
-    }
     void halve() {
         const Level& fine = levels.back();
         Level coarse;

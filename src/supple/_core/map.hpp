@@ -11,11 +11,6 @@ struct Map {
     const Freeze* freeze;        // or null, if it concerns no stroke
     int64_t limited;             // whether every stroke has a reach, so that points may lie outside of every ball
     Axis axes[3];
-
-    double finest(int dimensions) const {
-        const double two = least(axes[0].spacing, axes[1].spacing);
-        return dimensions == 3 ? least(two, axes[2].spacing) : two;
-    }
 };
 
 }  // namespace supple

@@ -1,51 +1,39 @@
 // Python bindings of the margin of strokes to folding.
 #include "margin.hpp"
 
-#include <nanobind/nanobind.h>
-#include <nanobind/ndarray.h>
-#include <nanobind/stl/optional.h>
 #include <nanobind/stl/tuple.h>
-
-#include <tuple>
 
 #include "bindings.hpp"
 
 namespace supple {
-
 namespace {
 
-typedef nb::ndarray<const double, nb::shape<-1, STROKE_NUMBERS>, nb::c_contig, nb::device::cpu> Table;
-typedef nb::ndarray<const double, nb::shape<3, AXIS_NUMBERS>, nb::c_contig, nb::device::cpu> Rows;
-
-std::tuple<double, double> smallest_strain(const Table& table, const Rows& domain, double free, double distance,
-                                           double target, double gap, Masking freeze) {
+Strokes group_of(const Doubles& table, const AxisRows& rows, const Masking& freeze) {
     if (!table.shape(0)) throw nb::value_error("a group has one stroke at least");
-    const Axes axes = load_axes(domain.data());
-    const std::vector<Stroke> strokes =
-        load_strokes(table.data(), table.shape(0), axes.data(), freeze.value_or(nullptr));
-    const folds::Bounds found = folds::smallest_strain(strokes, axes.data(), free, distance, target, gap);
+    return strokes_of(table, rows, freeze);
+}
+
+std::tuple<double, double> smallest_strain(const Doubles& table, const AxisRows& rows, double free, double distance,
+                                           double target, double gap, Masking freeze) {
+    const Strokes group = group_of(table, rows, freeze);
+    const folds::Bounds found = folds::smallest_strain(group.table, group.axes.data(), free, distance, target, gap);
     return {found.lower, found.upper};
 }
 
-std::tuple<double, double, double> smallest_free_strain(const Table& table, double gap) {
+std::tuple<double, double, double> smallest_free_strain(const Doubles& table, double gap) {
     if (table.shape(0) != 1) throw nb::value_error("the free border is for one stroke");
-    const folds::Bounds found = folds::smallest_free_strain(load_strokes(table.data(), 1, Axes{}.data()), gap);
+    const folds::Bounds found = folds::smallest_free_strain(strokes_of(table, Axes{}, std::nullopt).table, gap);
     return {found.lower, found.upper, found.point[0]};
 }
 
-double largest_displacement(const Table& table, const Rows& domain, Masking freeze) {
-    if (!table.shape(0)) throw nb::value_error("a group has one stroke at least");
-    const Axes axes = load_axes(domain.data());
-    const std::vector<Stroke> strokes =
-        load_strokes(table.data(), table.shape(0), axes.data(), freeze.value_or(nullptr));
-    return folds::largest_displacement(strokes, axes.data());
+double largest_displacement(const Doubles& table, const AxisRows& rows, Masking freeze) {
+    const Strokes group = group_of(table, rows, freeze);
+    return folds::largest_displacement(group.table, group.axes.data());
 }
 
-bool turns_whole(const Table& table, const Rows& domain, Masking freeze) {
-    const Axes axes = load_axes(domain.data());
-    const std::vector<Stroke> strokes =
-        load_strokes(table.data(), table.shape(0), axes.data(), freeze.value_or(nullptr));
-    return strokes.size() == 1 && supple::is_whole(strokes[0]);
+bool turns_whole(const Doubles& table, const AxisRows& rows, Masking freeze) {
+    const Strokes group = group_of(table, rows, freeze);
+    return group.table.size() == 1 && is_whole(group.table[0]);
 }
 
 }  // namespace

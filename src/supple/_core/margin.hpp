@@ -81,6 +81,7 @@ constexpr double CUBIC = 1e-7;
 constexpr double TINY = 1e-150;
 constexpr double HUGE_BOUND = 1e100;  // an infinite bound whose square is still finite
 constexpr int MOST_BOXES = 200'000;   // the largest number of boxes
+constexpr Axis FREE[3] = {{0, 1, -1, 1, QUARTIC}, {0, 1, -1, 1, QUARTIC}, {0, 1, -1, 1, QUARTIC}};
 
 struct Region {
     double low[3], high[3];
@@ -241,17 +242,8 @@ struct Symmetric {
 inline Symmetric<Lanes> strain(const Chain& group, const Axis* axes, const bool* moving, const Lanes* x) {
     Lanes beta[3][2], J[3][3] = {};
     for (int i = 0; i < 3; i++) fade<1>(x[i], axes[i], beta[i]);
-    const Axis free[3] = {{0, 0, -1, 1, QUARTIC}, {0, 0, -1, 1, QUARTIC}, {0, 0, -1, 1, QUARTIC}};
-    Jet<3, 3, false, Lanes> at, moved;
-    for (int i = 0; i < 3; i++) {
-        at.x[i] = x[i];
-        moved.x[i] = Lanes{};
-        for (int j = 0; j < 3; j++) {
-            at.t[j][i] = splat<Lanes>(i == j);
-            moved.t[j][i] = Lanes{};
-        }
-    }
-    for (int k = 0; k < group.count; k++) add(group[k], free, at, moved);
+    Jet<3, 3, false, Lanes> at = jet_at<3, 3>(x), moved{};
+    for (int k = 0; k < group.count; k++) add(group[k], FREE, at, moved);
     for (int i = 0; i < 3; i++) {
         for (int j = 0; j < 3; j++) J[i][j] = beta[i][0] * moved.t[j][i];
         J[i][i] += beta[i][1] * moved.x[i];
@@ -609,8 +601,7 @@ inline double largest_displacement(const std::vector<Stroke>& strokes, const Axi
         const double most = search.free_of[0] + search.mask.most() * search.masked[0];
         const double steepest =
             search.free_of[1] + search.mask.most() * search.masked[1] + search.mask.slope() * search.masked[0];
-        const Axis free[3] = {{0, 0, -1, 1, QUARTIC}, {0, 0, -1, 1, QUARTIC}, {0, 0, -1, 1, QUARTIC}};
-        for (int s : search.near) add(among[s], free, at, moved);
+        for (int s : search.near) add(among[s], FREE, at, moved);
         const double here = std::sqrt(dot<3>(moved.x, moved.x));
         box.bound = std::min({box.bound, most, here + steepest * std::sqrt(across2)}) * (1 + 1e-12);
         return here;
@@ -624,30 +615,27 @@ inline double largest_displacement(const std::vector<Stroke>& strokes, const Axi
     };
     std::vector<Part> parts;
     for (const Region& box : boxes_of(strokes, axes)) parts.push_back({{}, box, 0, {}});
+    for (const Stroke& stroke : strokes) {  // pivots are where most is moved
+        Region pivot;
+        for (int k = 0; k < 3; k++)
+            pivot.low[k] = pivot.high[k] = std::clamp(stroke.pivot[k], axes[k].first, axes[k].last);
+        parts.push_back({{}, pivot, 0, {}});
+    }
     parallel((int)parts.size(), [&](int i, int) {
         Part& part = parts[i];
         part.near = Search(strokes, axes, -INFINITE, 0, 0).those_in(part.box);
         part.box.bound = INFINITE;
         Search search(part.near, axes, -INFINITE, 0, 0);
         part.here = look(search, part.near, part.box);
-    });
-    // Pivots are where most is moved.
-    std::vector<double> there(strokes.size());
-    parallel((int)strokes.size(), [&](int i, int) {
-        Region box;
-        for (int k = 0; k < 3; k++)
-            box.low[k] = box.high[k] = std::clamp(strokes[i].pivot[k], axes[k].first, axes[k].last);
-        Search search(strokes, axes, -INFINITE, 0, 0);
-        there[i] = look(search, strokes, box);
+        part.waiting = {part.box};
     });
     double known = 0;
-    for (double here : there) known = std::max(known, here);
     for (const Part& part : parts) known = std::max(known, part.here);
-    for (Part& part : parts) part.waiting = {part.box};
     // What parts leave of the places is for those that are not done: the same ones, whatever the threads.
     const auto smaller = [](const Region& a, const Region& b) { return a.bound < b.bound; };
     std::vector<Part*> open;
-    for (Part& part : parts) open.push_back(&part);
+    for (Part& part : parts)
+        if (part.box.bound > LOOSE * known) open.push_back(&part);
     for (int left = MOST_PLACES; !open.empty();) {
         const int each = std::max(left / (int)open.size(), 1);
         std::vector<int> used(open.size());
@@ -686,8 +674,7 @@ inline double largest_displacement(const std::vector<Stroke>& strokes, const Axi
 // Bound μ in all of space, of a stroke with a finite reach from 0 along x. S is the same all around that axis, so that
 // a half-plane stands for space.
 inline Bounds smallest_free_strain(const std::vector<Stroke>& one, double gap) {
-    const Axis axes[] = {{0, 1, -1, 1, QUARTIC}, {0, 1, -1, 1, QUARTIC}, {0, 1, -1, 1, QUARTIC}};
-    Search search(one, axes, -INFINITE, 0, gap);
+    Search search(one, FREE, -INFINITE, 0, gap);
     const double reach = one[0].reach;
     search.add({{-reach, 0, 0}, {reach, reach, 0}});
     search.run();

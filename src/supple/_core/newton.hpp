@@ -88,8 +88,7 @@ INLINE void turn_back(const Chain& group, const Axis* axes, V* x) {
     Stroke back = group[0];
     back.p[0] = -back.p[0];
     back.q[0] = -back.q[0];
-    Jet<D, 0, false, V> jet;
-    for (int i = 0; i < D; i++) jet.x[i] = x[i];
+    auto jet = jet_at<D, 0>(x);
     add_for(group.lanes_of(0), back, axes, jet, jet);
     for (int i = 0; i < D; i++) x[i] = jet.x[i];
 }
@@ -127,24 +126,9 @@ INLINE V kept_inside(V x, V q, const Axis& a) {
 
 template <int D, class V>
 INLINE void apply(const Chain& chain, const Axis* axes, V* x) {
-    Jet<D, 0, false, V> jet;
-    for (int i = 0; i < D; i++) jet.x[i] = x[i];
+    auto jet = jet_at<D, 0>(x);
     carry(chain, axes, jet);
     for (int i = 0; i < D; i++) x[i] = jet.x[i];
-}
-// T and its Jacobian, as columns t.
-template <int D, class V>
-INLINE void apply(const Chain& chain, const Axis* axes, V* x, V (*t)[D]) {
-    Jet<D, D, false, V> jet;
-    for (int i = 0; i < D; i++) {
-        jet.x[i] = x[i];
-        for (int j = 0; j < D; j++) jet.t[j][i] = splat<V>(i == j);
-    }
-    carry(chain, axes, jet);
-    for (int i = 0; i < D; i++) {
-        x[i] = jet.x[i];
-        for (int j = 0; j < D; j++) t[j][i] = jet.t[j][i];
-    }
 }
 
 constexpr double SHORTEST = 0x1p-24;  // the smallest fraction of a step
@@ -165,20 +149,21 @@ CALLED void newton(const Chain& chain, const Axis* axes, const V* q, double tole
         step[i] = V{};
     }
     for (int round = 0; round < limit; round++) {
-        V tried[D], x[D], t[D][D], e2 = V{};
-        for (int i = 0; i < D; i++) x[i] = tried[i] = kept_inside(V(base[i] + part * step[i]), q[i], axes[i]);
-        apply<D>(chain, axes, x, t);
+        V tried[D], e[D], e2 = V{};
+        for (int i = 0; i < D; i++) tried[i] = kept_inside(V(base[i] + part * step[i]), q[i], axes[i]);
+        auto jet = jet_at<D, D>(tried);
+        carry(chain, axes, jet);
         found.steps += choose(done, V{}, splat<V>(1.0));
         for (int i = 0; i < D; i++) {
-            x[i] -= q[i];
-            e2 += x[i] * x[i];
+            e[i] = jet.x[i] - q[i];
+            e2 += e[i] * e[i];
         }
         // Lanes that have given up do not change, whatever the others need.
         M taken = without(both(e2 <= error * (1.0 - DOWNHILL * part), part > SHORTEST), done);
         V m[D][D], d[D], d2 = V{};
-        invert(t, m);
+        invert(jet.t, m);
         for (int i = 0; i < D; i++) {
-            d[i] = -times<D>(m, x, i);
+            d[i] = -times<D>(m, e, i);
             d2 += d[i] * d[i];
         }
         for (int i = 0; i < D; i++) {
@@ -246,13 +231,8 @@ NOINLINE void undo(const Chain& chain, const Axis* axes, const V* q, double tole
                 Chain alone = one;
                 alone.lane = l;
                 bool known = follow<D>(alone, axes, target, tolerance, p, steps);
-                if constexpr (Masked<V>::lanes == 1) {
-                    for (int i = 0; i < D && known; i++) found.p[i] = p[i];
-                    found.steps += steps;
-                } else {
-                    for (int i = 0; i < D && known; i++) found.p[i][l] = p[i];
-                    found.steps[l] += steps;
-                }
+                for (int i = 0; i < D && known; i++) set_lane(found.p[i], l, p[i]);
+                set_lane(found.steps, l, lane(found.steps, l) + steps);
             }
         for (int i = 0; i < D; i++) at[i] = found.p[i];
     }

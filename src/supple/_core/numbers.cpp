@@ -42,18 +42,7 @@ void Numbers<N>::convert(const T* p, int n, int group, N* out) const {
 template <class N>
 void Numbers<N>::convert(const char* frame, int x, int y, int n, int group, N* out) const {
     const char* p = job.sample(frame, x, y);
-    switch (job.type) {
-        case U8: return convert((const uint8_t*)p, n, group, out);
-        case U16: return convert((const uint16_t*)p, n, group, out);
-        case I16: return convert((const int16_t*)p, n, group, out);
-        case F32: return convert((const float*)p, n, group, out);
-        case F64: return convert((const double*)p, n, group, out);
-        case I8: return convert((const int8_t*)p, n, group, out);
-        case I32: return convert((const int32_t*)p, n, group, out);
-        case U32: return convert((const uint32_t*)p, n, group, out);
-        case I64: return convert((const int64_t*)p, n, group, out);
-        default: return convert((const uint64_t*)p, n, group, out);
-    }
+    with_type(job.type, [&]<class T>(T) { convert((const T*)p, n, group, out); });
 }
 template <class N>
 void Numbers<N>::constant(int group, double* out) const {
@@ -71,7 +60,7 @@ void Numbers<N>::store(const N* from, int n, int group, T* p) const {
     const int some = count(group), first = group * colours;
     const double low = whole ? (double)std::numeric_limits<T>::lowest() : 0;
     const double high = whole ? std::min((double)std::numeric_limits<T>::max(), job.white) : 0;
-    const T most = limit_of<T>(high);
+    const T most = high >= (double)std::numeric_limits<T>::max() ? std::numeric_limits<T>::max() : (T)high;
     for (int i = 0; i < n; i++, p += job.channels, from += 4) {
         double v[4];
         for (int c = 0; c < 4; c++) v[c] = c < lanes ? from[c] : 0;
@@ -99,18 +88,7 @@ void Numbers<N>::store(const N* from, int n, int group, T* p) const {
 }
 template <class N>
 void Numbers<N>::store(const N* from, int n, int group, char* p) const {
-    switch (job.type) {
-        case U8: return store(from, n, group, (uint8_t*)p);
-        case U16: return store(from, n, group, (uint16_t*)p);
-        case I16: return store(from, n, group, (int16_t*)p);
-        case F32: return store(from, n, group, (float*)p);
-        case F64: return store(from, n, group, (double*)p);
-        case I8: return store(from, n, group, (int8_t*)p);
-        case I32: return store(from, n, group, (int32_t*)p);
-        case U32: return store(from, n, group, (uint32_t*)p);
-        case I64: return store(from, n, group, (int64_t*)p);
-        default: return store(from, n, group, (uint64_t*)p);
-    }
+    with_type(job.type, [&]<class T>(T) { store(from, n, group, (T*)p); });
 }
 int levels_of(const Job& job, double widest) {
     int levels = 0, side = std::max(job.w, job.h);

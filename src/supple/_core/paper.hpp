@@ -10,9 +10,7 @@
 #pragma once
 #include <math.h>
 
-#include <vector>
-
-#include "newton.hpp"
+#include "table.hpp"
 
 namespace supple {
 
@@ -24,20 +22,16 @@ struct Published {
 
 // Invert all strokes at one point q, in physical units; returns |T(p) - q| of the first stroke, in pixels.
 template <int D>
-double invert_as_published(const std::vector<Stroke>& strokes, const Axis* axes, const Published& how, double* p,
-                           int& count) {
+double invert_as_published(const Strokes& strokes, const Published& how, double* p, int& count) {
+    const Axis* axes = strokes.axes.data();
     double error = 0;
     count = 0;
-    for (int k = (int)strokes.size() - 1; k >= 0; k--) {
+    for (int k = (int)strokes.table.size() - 1; k >= 0; k--) {
         double q[D];
         for (int d = 0; d < D; d++) q[d] = p[d];
         for (int turn = 0; turn <= how.limit; turn++) {
-            Jet<D, D, false, double> jet;
-            for (int d = 0; d < D; d++) {
-                jet.x[d] = p[d];
-                for (int e = 0; e < D; e++) jet.t[e][d] = d == e;
-            }
-            add(strokes[k], axes, jet, jet);
+            auto jet = jet_at<D, D>(p);
+            add(strokes.table[k], axes, jet, jet);
             double xi[D], off = 0;
             for (int d = 0; d < D; d++) {
                 xi[d] = jet.x[d] - q[d];

@@ -18,7 +18,7 @@ inline double widest_of(double xx, double xy, double yx, double yy) {
 // ---- which strokes reach which cells ------------------------------------------------------------------------------
 
 // Bounds of |K_β| and |J_β| in a stroke's own metric, with the additional terms of a border's slope and a mask's.
-inline Bound bound_within(const Stroke& k, const Axis* axes, int dimensions) {
+inline Bound bound_within(const Stroke& k, const Axes& axes, int dimensions) {
     Bound bound = bound_of(k);
     for (int i = 0; i < dimensions; i++)
         if (axes[i].sigma > 0 && !k.inner) bound.slope += 2 * bound.value / (axes[i].sigma * (i == 2 ? k.stretch : 1));
@@ -30,7 +30,7 @@ inline Bound bound_within(const Stroke& k, const Axis* axes, int dimensions) {
 }
 
 template <int D>
-Plan<D>::Plan(std::vector<Stroke> table, const Axis* given, int width, int height, double z, double tolerance,
+Plan<D>::Plan(Strokes given, int width, int height, double z, double tolerance,
               std::shared_ptr<const Composite> composite, const Box* wanted, const Frozen* masks)
     : width(width),
       height(height),
@@ -38,13 +38,12 @@ Plan<D>::Plan(std::vector<Stroke> table, const Axis* given, int width, int heigh
       tolerance(tolerance),
       map(std::move(composite)),
       box(wanted ? *wanted : Box{0, width, 0, height}),
-      strokes(std::move(table)),
+      all(std::move(given)),
       size{width, height},
       last{std::max(width - 1, 1), std::max(height - 1, 1)},
       across((last[0] - 1) / ROOT + 1),
       down((last[1] - 1) / ROOT + 1),
       words((strokes.size() + 63) / 64) {
-    std::copy(given, given + 3, axes);
     const int count = (int)strokes.size();
     freeze = nullptr;
     for (const Stroke& k : strokes)
@@ -52,28 +51,19 @@ Plan<D>::Plan(std::vector<Stroke> table, const Axis* given, int width, int heigh
     while (first_limited < count && !(strokes[first_limited].per_reach > 0)) first_limited++;
     while (first_limited + 1 < count && strokes[first_limited + 1].group == strokes[first_limited].group)
         first_limited++;
-    for (int i = 0; i < count; i++) bounds.push_back(bound_within(strokes[i], axes, D));
-    for (int i = 0; i < count; i++) all.push_back(i);
+    for (const Stroke& k : strokes) bounds.push_back(bound_within(k, axes, D));
     roots.resize((size_t)across * down);
     reaching.assign(roots.size() * words, 0);
     bands.resize((down + BAND - 1) / BAND);
     if (masks && !map) keep_state(masks);
     parallel((int)bands.size(), [this](int i, int) { solve_band(i); });
     for (const Band& b : bands) {
-        error = std::max({error, reserve() * sqrt(b.worst), b.rounding});
-        evaluations += b.evaluations;
-        unsolved += b.unsolved;
-        folds += b.folds;
-        outside += b.outside;
+        *this |= b;
         widest = std::max(widest, b.extent.widest);
         identity = identity && b.leaves.empty() && b.pixels.empty();
     }
     if (under) {
-        error = std::max(error, under->error);
-        evaluations += under->evaluations;
-        unsolved += under->unsolved;
-        folds += under->folds;
-        widest = std::max(widest, under->widest);
+        *this |= *under;
         identity = identity && under->identity;
     }
     if (unsolved) error = std::numeric_limits<double>::infinity();
@@ -94,11 +84,14 @@ void Plan<D>::keep_state(const Frozen* masks) {
     }
     const double at = z * axes[2].spacing;
     const bool outside = D == 3 && (at < hold->low[2] || at > hold->high[2]);
-    if (outside || inside[0] >= inside[1] || inside[2] >= inside[3])
+    if (outside || inside[0] >= inside[1] || inside[2] >= inside[3]) {
         hold = nullptr;
-    else
-        under = std::make_unique<Plan>(std::vector<Stroke>(strokes.begin(), strokes.begin() + held_rows), axes, width,
-                                       height, z, tolerance, nullptr, &inside, masks);
+        return;
+    }
+    Strokes before = all;
+    before.table.resize(held_rows);
+    before.list.resize(held_rows);
+    under = std::make_unique<Plan>(std::move(before), width, height, z, tolerance, nullptr, &inside, masks);
 }
 
 // The strokes that reach any of some roots, in order.
@@ -145,7 +138,7 @@ void Plan<D>::find_reaching(int j, int left, int right) {
         Lanes radius = root(radius2) * (1 + 1e-9);
         Mask rim = radius == radius;
         double metric = std::numeric_limits<double>::infinity();
-        const Chain whole{strokes.data(), all.data(), (int)all.size()};
+        const Chain whole = all.chain();
         for (int end = whole.count; end > 0;) {
             const Chain group = whole.last_before(end);
             const int begin = end - group.count;
@@ -193,11 +186,11 @@ void Plan<D>::find_reaching(int j, int left, int right) {
             if (begin <= first_limited || !any(touched)) continue;
             Lanes x[D], off2{};
             for (int d = 0; d < D; d++) x[d] = centre[d];
-            turn_back<D>(group, axes, x);
+            turn_back<D>(group, axes.data(), x);
             for (int round = 0; round < 3; round++) {
                 Lanes y[D];
                 for (int d = 0; d < D; d++) y[d] = x[d];
-                apply<D>(group, axes, y);
+                apply<D>(group, axes.data(), y);
                 off2 = Lanes{};
                 for (int d = 0; d < D; d++) {
                     Lanes e = centre[d] - y[d], there = d < 2 ? e : Lanes(e * stretch);
@@ -273,40 +266,9 @@ void Plan<D>::thaw(int index) {
 
 // ---- nodes ----------------------------------------------------------------------------------------------------------
 
-// Solve a composite map at some points, with its derivatives.
-template <int D>
-Passed<Lanes> Plan<D>::solve_composite(const Lanes (&q)[D], Jet<D, D, true, Lanes>& jet) const {
-    for (int d = 0; d < D; d++) {
-        jet.x[d] = q[d];
-        jet.mixed[d] = Lanes{};
-        for (int e = 0; e < D; e++) jet.t[e][d] = splat<Lanes>(d == e);
-    }
-    jet.smooth2[0] = jet.smooth2[1] = splat<Lanes>(1e300);
-    return pass<D>(*map, true, jet);
-}
-
-// Store the solutions of the asks from `start` on at their nodes.
-template <int D>
-void Plan<D>::keep(Work& w, const Solution<D, Lanes>& found, const Lanes (&mixed)[D], const Lanes (&smooth2)[2],
-                   int start) {
-    const Lanes determinant = determinant_of(found.m);
-    for (int i = 0; i < LANES && start + i < (int)w.asks.size(); i++) {
-        Node<D>& node = w.nodes[w.asks[start + i].node];
-        for (int d = 0; d < D; d++) {
-            node.p[d] = found.p[d][i] / axes[d].spacing;
-            node.mixed[d] = mixed[d][i] * axes[0].spacing * axes[1].spacing / axes[d].spacing;
-            for (int e = 0; e < D; e++) node.m[e][d] = found.m[e][d][i] * axes[e].spacing / axes[d].spacing;
-        }
-        for (int j = 0; j < 2; j++) node.smooth[j] = sqrt(smooth2[j][i]) / axes[j].spacing;
-        w.band->evaluations += found.steps[i];
-        w.band->unsolved += !found.done[i];
-        w.band->folds += !map && !(determinant[i] > 0);  // a composite may mirror, and knows what folds
-    }
-}
-
+// Solve what is asked, and store it at the nodes.
 template <int D>
 void Plan<D>::solve(Work& w, Guess guess) {
-    const double finest = this->finest();
     int count = (int)w.asks.size();
     for (int start = 0; start < count; start += LANES) {
         auto ask = [&](int i) -> Ask& { return w.asks[std::min(start + i, count - 1)]; };
@@ -320,28 +282,30 @@ void Plan<D>::solve(Work& w, Guess guess) {
                 for (int e = 0; e < D; e++) found.m[e][d][i] = a.m[e][d] * axes[d].spacing / axes[e].spacing;
             }
         }
-        if (map) {
-            Jet<D, D, true, Lanes> jet;
-            Passed<Lanes> passed = solve_composite(q, jet);
-            Solved<D, Lanes> known{};
-            for (int d = 0; d < D; d++) {
-                known.at.p[d] = jet.x[d];
-                known.mixed[d] = jet.mixed[d];
-                for (int e = 0; e < D; e++) known.at.m[e][d] = jet.t[e][d];
-            }
-            for (int j = 0; j < 2; j++) known.smooth2[j] = jet.smooth2[j];
-            known.at.steps = passed.steps;
-            known.at.done = passed.done;
-            for (int i = 0; i < LANES && start + i < count; i++) {
-                w.band->outside += !passed.within[i];
-                w.band->folds += !passed.upright[i];
-            }
-            keep(w, known.at, known.mixed, known.smooth2, start);
-            continue;
+        Solved<D, Lanes> known{};
+        Passed<Lanes> passed;
+        if (map)
+            passed = solve_composite<D, true>(*map, q, known);
+        else {
+            const Chain chain = chain_of(w, [&](int i) { return ask(i).root; });
+            known =
+                solved<D>(chain, axes.data(), q, finest_of<D>(axes.data()), tolerance, guess, found, freeze != nullptr);
+            passed.within = Mask{} == 0;
+            passed.upright = determinant_of(known.at.m) > 0.0;  // a composite may mirror, and knows what folds
         }
-        const Chain chain = chain_of(w, [&](int i) { return ask(i).root; });
-        const Solved<D, Lanes> known = solved<D>(chain, axes, q, finest, tolerance, guess, found, freeze != nullptr);
-        keep(w, known.at, known.mixed, known.smooth2, start);
+        for (int i = 0; i < LANES && start + i < count; i++) {
+            Node<D>& node = w.nodes[ask(i).node];
+            for (int d = 0; d < D; d++) {
+                node.p[d] = known.at.p[d][i] / axes[d].spacing;
+                node.mixed[d] = known.mixed[d][i] * axes[0].spacing * axes[1].spacing / axes[d].spacing;
+                for (int e = 0; e < D; e++) node.m[e][d] = known.at.m[e][d][i] * axes[e].spacing / axes[d].spacing;
+            }
+            for (int j = 0; j < 2; j++) node.smooth[j] = sqrt(known.smooth2[j][i]) / axes[j].spacing;
+            w.band->evaluations += known.at.steps[i];
+            w.band->unsolved += !known.at.done[i];
+            w.band->outside += !passed.within[i];
+            w.band->folds += !passed.upright[i];
+        }
     }
     w.asks.clear();
 }
@@ -357,7 +321,7 @@ void Plan<D>::emit(Work& w, int root, int x, int y, int wide, int high, const do
     leaf.h = high;
     std::copy(depth, depth + 4, leaf.depth);
     const double far_x = wide - (x + wide == size[0]), far_y = high - (y + high == size[1]);
-    w.band->rounding = std::max(w.band->rounding, round_patch<D>(c, far_x, far_y, leaf));
+    w.band->error = std::max(w.band->error, round_patch<D>(c, far_x, far_y, leaf));
     Root& r = roots[root];
     w.band->leaves.push_back(leaf);
     w.band->next.push_back(r.first);
@@ -457,11 +421,7 @@ void Plan<D>::solve_pixels(int index) {
             for (int l = 0; l < LANES; l++) q[0][l] = (x + std::min(l, n - 1)) * axes[0].spacing;
             q[1] = splat<Lanes>(y * axes[1].spacing);
             if constexpr (D == 3) q[2] = splat<Lanes>(z * axes[2].spacing);
-            Jet<D, D, false, Lanes> jet;
-            for (int d = 0; d < D; d++) {
-                jet.x[d] = q[d];
-                for (int e = 0; e < D; e++) jet.t[e][d] = splat<Lanes>(d == e);
-            }
+            auto jet = jet_at<D, D>(q);
             Passed<Lanes> passed = pass<D>(*map, true, jet);
             for (int d = 0; d < D; d++) {
                 jet.x[d] /= axes[d].spacing;
@@ -479,7 +439,7 @@ void Plan<D>::solve_pixels(int index) {
                 for (int d = 0; d < D; d++) {
                     const double p = std::clamp(jet.x[d][l], -1e9, 1e9), off = p - anchor[d];
                     pixel.part[d] = (float)off;
-                    band.rounding = std::max(band.rounding, fabs(pixel.part[d] - off));
+                    band.error = std::max(band.error, fabs(pixel.part[d] - off));
                     extent.low[d] = std::min(extent.low[d], p);
                     extent.high[d] = std::max(extent.high[d], p);
                     moved = std::max(moved, fabs(p - (d == 0 ? x + l : d == 1 ? y : z)));
@@ -554,10 +514,10 @@ void Plan<D>::check(Work& w) {
             q[1] = y0 + t;
             if constexpr (D == 3) q[2] = splat<Lanes>(z);
             if (map) {
-                off = off_composite<D>(*map, axes, c, s, t, q, g, steps);
+                off = off_composite<D>(*map, axes.data(), c, s, t, q, g, steps);
                 for (int i = 0; i < LANES && start + i < count; i++) w.band->evaluations += steps[i];
             } else
-                off = off_chain<D>(chain, axes, c, s, t, q, across_plane, g);
+                off = off_chain<D>(chain, axes.data(), c, s, t, q, across_plane, g);
             for (int d = 0; n < 5 && d < D; d++) step[n][d] = g[d];
             off = choose(off == off, off, splat<Lanes>(1e300));
             worst = most(worst, off);
@@ -589,7 +549,7 @@ void Plan<D>::check(Work& w) {
                 bilinear_of(v, e.x1 - e.x0, e.y1 - e.y0, depth);
             }
             emit(w, e.root, e.x0, e.y0, past(0, e.x1) - e.x0, past(1, e.y1) - e.y0, own, depth);
-            if (!single[i]) w.band->worst = std::max(w.band->worst, worst[i]);
+            if (!single[i]) w.band->error = std::max(w.band->error, reserve() * sqrt(worst[i]));
         }
     }
     solve(w, Guess::PATCH);
@@ -861,8 +821,7 @@ bool Plan<D>::fill_root(const Grid& grid, int index, int y, Slopes slopes, Row<D
 }
 
 template <int D>
-void Plan<D>::visit_rows(const Grid& grid, int root_row, const int (&box)[4], Slopes slopes, const void* use,
-                         Visit visit) const {
+void Plan<D>::each_row(const Grid& grid, int root_row, const int (&box)[4], Slopes slopes, const Use& use) const {
     Row<D> row{};  // vectors of eight read past a row's end
     int top, bottom;
     rows_of(grid, root_row, top, bottom);
@@ -880,7 +839,7 @@ void Plan<D>::visit_rows(const Grid& grid, int root_row, const int (&box)[4], Sl
             const int a = std::max(left, box[0]), b = std::min(right, box[1]);
             if (a >= b) continue;
             const bool moved = fill_root(grid, root_row * across + i, y, slopes, row);
-            visit(use, row, a, y, b - a, moved ? a - left : 0);
+            use(row, a, y, b - a, moved ? a - left : 0);
         }
     }
 }
@@ -966,64 +925,55 @@ Extent<D> Plan<D>::extent() const {
 }
 
 template <int D>
-void Plan<D>::measure(double finest, double& worst, long& unknown) const {
-    struct Found {
-        double worst = 0;
-        long unknown = 0;
-    };
-    std::vector<Found> found(down);
-    std::vector<int> all(strokes.size());
-    for (size_t i = 0; i < all.size(); i++) all[i] = (int)i;
-    Chain chain{strokes.data(), all.data(), (int)all.size()};
-    const double spacing = this->finest();
+Checks Plan<D>::measure(double finest) const {
+    std::vector<Checks> found(down);
+    const Chain chain = all.chain();
+    const double spacing = finest_of<D>(axes.data());
     Grid grid;
     grid.size[0] = width;
     grid.size[1] = height;
     parallel(down, [&](int j, int) {
-        const int all[4] = {box[0], box[1], box[2], box[3]};
-        each_row(grid, j, all, Slopes::NONE, [&](const Row<D>& row, int x, int y, int n, int at) {
-            if (row.idle) return;
-            for (int start = 0; start < n; start += LANES) {
-                Lanes q[D], given[D] = {}, off{};
-                Solution<D, Lanes> exact{};
-                for (int i = 0; i < LANES; i++) {
-                    int k = std::min(start + i, n - 1);
-                    for (int d = 0; d < D; d++) {
-                        given[d][i] = row.whole[d][at + k] + (double)row.part[d][at + k];
-                        exact.p[d][i] = given[d][i] * axes[d].spacing;
-                        q[d][i] = (d == 0 ? x + k : d == 1 ? y : z) * axes[d].spacing;
-                    }
-                }
-                if (map) {
-                    Jet<D, 0, false, Lanes> jet;
-                    for (int d = 0; d < D; d++) jet.x[d] = q[d];
-                    exact.done = pass<D>(*map, true, jet).done;
-                    for (int d = 0; d < D; d++) exact.p[d] = jet.x[d];
-                } else
-                    newton<D>(chain, axes, q, finest * spacing, 8, exact, 1e-3 * spacing);
-                if (!map && any(without(Mask{} == 0, exact.done))) {
-                    Solution<D, Lanes> again;
-                    undo<D>(chain, axes, q, finest * spacing, again);
-                    for (int d = 0; d < D; d++) exact.p[d] = choose(exact.done, exact.p[d], again.p[d]);
-                    exact.done = either(exact.done, again.done);
-                }
-                for (int d = 0; d < D; d++) {
-                    Lanes e = exact.p[d] / axes[d].spacing - given[d];
-                    off += e * e;
-                }
-                for (int i = 0; i < LANES && start + i < n; i++) {
-                    found[j].unknown += !exact.done[i];
-                    found[j].worst = std::max(found[j].worst, off[i]);
-                }
-            }
-        });
+        each_row(grid, j, {box[0], box[1], box[2], box[3]}, Slopes::NONE,
+                 [&](const Row<D>& row, int x, int y, int n, int at) {
+                     if (row.idle) return;
+                     for (int start = 0; start < n; start += LANES) {
+                         Lanes q[D], given[D] = {}, off{};
+                         Solution<D, Lanes> exact{};
+                         for (int i = 0; i < LANES; i++) {
+                             int k = std::min(start + i, n - 1);
+                             for (int d = 0; d < D; d++) {
+                                 given[d][i] = row.whole[d][at + k] + (double)row.part[d][at + k];
+                                 exact.p[d][i] = given[d][i] * axes[d].spacing;
+                                 q[d][i] = (d == 0 ? x + k : d == 1 ? y : z) * axes[d].spacing;
+                             }
+                         }
+                         if (map) {
+                             auto jet = jet_at<D, 0>(q);
+                             exact.done = pass<D>(*map, true, jet).done;
+                             for (int d = 0; d < D; d++) exact.p[d] = jet.x[d];
+                         } else
+                             newton<D>(chain, axes.data(), q, finest * spacing, 8, exact, 1e-3 * spacing);
+                         if (!map && any(without(Mask{} == 0, exact.done))) {
+                             Solution<D, Lanes> again;
+                             undo<D>(chain, axes.data(), q, finest * spacing, again);
+                             for (int d = 0; d < D; d++) exact.p[d] = choose(exact.done, exact.p[d], again.p[d]);
+                             exact.done = either(exact.done, again.done);
+                         }
+                         for (int d = 0; d < D; d++) {
+                             Lanes e = exact.p[d] / axes[d].spacing - given[d];
+                             off += e * e;
+                         }
+                         for (int i = 0; i < LANES && start + i < n; i++) {
+                             found[j].unsolved += !exact.done[i];
+                             found[j].error = std::max(found[j].error, sqrt(off[i]) + finest);
+                         }
+                     }
+                 });
     });
-    worst = 0;
-    unknown = 0;
-    for (const Found& f : found) {
-        worst = std::max(worst, sqrt(f.worst) + finest);
-        unknown += f.unknown;
-    }
+    Checks sum;
+    sum.error = finest;
+    for (const Checks& f : found) sum |= f;
+    return sum;
 }
 
 template class Plan<2>;

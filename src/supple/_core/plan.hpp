@@ -18,6 +18,7 @@
 
 #include <algorithm>
 #include <array>
+#include <functional>
 #include <limits>
 #include <memory>
 #include <vector>
@@ -89,23 +90,36 @@ struct Extent {
     }
 };
 
+// What the checks of a map say.
+struct Checks {
+    double error = 0;        // a bound on the distance of a source point to T⁻¹(q), with a reserve
+    double evaluations = 0;  // of T with its Jacobian
+    long unsolved = 0, folds = 0;
+    long outside = 0;   // points beyond the grids of a composite's fields
+    double widest = 1;  // a bound of max(λ₋, λ₊/400) of MMᵀ: it determines the depth of a pyramid
+    Checks& operator|=(const Checks& o) {
+        error = std::max(error, o.error);
+        evaluations += o.evaluations;
+        unsolved += o.unsolved;
+        folds += o.folds;
+        outside += o.outside;
+        widest = std::max(widest, o.widest);
+        return *this;
+    }
+};
+
 template <int D>
-class Plan {
+class Plan : public Checks {
 public:
     // Of strokes, or of a composite map; all of the plane, or the rows and columns of a box (x0, x1, y0, y1) and more.
     // `masks` has the freezes between the strokes.
-    Plan(std::vector<Stroke> strokes, const Axis* axes, int width, int height, double z, double tolerance,
+    Plan(Strokes strokes, int width, int height, double z, double tolerance,
          std::shared_ptr<const Composite> map = nullptr, const Box* box = nullptr, const Frozen* masks = nullptr);
 
     const int width, height;
     const double z, tolerance;
     const std::shared_ptr<const Composite> map;  // or null
     Box box;
-    double error = 0;        // a bound on the distance of a source point to T⁻¹(q) from the checks, with their reserve
-    double evaluations = 0;  // of T with its Jacobian
-    long unsolved = 0, folds = 0;
-    long outside = 0;   // points beyond the grids of a composite's fields
-    double widest = 1;  // a bound of max(λ₋, λ₊/400) of MMᵀ: it determines the depth of a pyramid
     bool identity = true;
 
     int roots_down() const { return down; }
@@ -113,15 +127,10 @@ public:
         const Root& r = roots[root];
         return r.held ? under->is_still(root) : r.leaves == 0 && r.first_pixel < 0;
     }
-    // Call use(row, x, y, n) for the samples x to x + n - 1 of row y, for all that lie in a row of roots and in
-    // [x0, x1) × [y0, y1).
-    template <class Use>
-    void each_row(const Grid& grid, int root_row, const int (&box)[4], Slopes slopes, const Use& use) const {
-        visit_rows(grid, root_row, box, slopes, &use,
-                   [](const void* use, const Row<D>& row, int x, int y, int n, int at) {
-                       (*(const Use*)use)(row, x, y, n, at);
-                   });
-    }
+    // Call use(row, x, y, n, at) for the samples x to x + n - 1 of row y, from `at` on in `row`, for all that lie in a
+    // row of roots and in [x0, x1) × [y0, y1).
+    typedef std::function<void(const Row<D>& row, int x, int y, int n, int at)> Use;
+    void each_row(const Grid& grid, int root_row, const int (&box)[4], Slopes slopes, const Use& use) const;
     // Bounds of the source points of a root, or of all.
     Extent<D> extent(int root) const;
     Extent<D> extent() const;
@@ -136,12 +145,9 @@ public:
         y1 = j == down - 1 ? grid.size[1] : grid.from(1, line(j + 1));
     }
     // The largest distance to T⁻¹(q), measured at every pixel; and the number of pixels where it could not be measured.
-    void measure(double finest, double& worst, long& unknown) const;
+    Checks measure(double finest) const;
 
 private:
-    typedef void (*Visit)(const void* use, const Row<D>& row, int x, int y, int n, int at);
-    void visit_rows(const Grid& grid, int root_row, const int (&box)[4], Slopes slopes, const void* use,
-                    Visit visit) const;
     struct Cell {
         int root, x0, y0, x1, y1;
         int corner[4];
@@ -165,15 +171,13 @@ private:
     struct Pixel {
         float part[D], across[2], down[2], depth2;  // relative to the anchor of its root
     };
-    struct Band {
+    struct Band : Checks {
         std::vector<Pixel> pixels;
         std::vector<std::array<int, D>> anchors;  // of a root, by its column and row in the band
         std::vector<Extent<D>> extents;
         std::vector<Leaf<D>> leaves;
         std::vector<int> next;  // the next leaf of the same root
-        double worst = 0, rounding = 0, evaluations = 0;
-        long unsolved = 0, folds = 0, outside = 0;
-        Extent<D> extent;  // of a plane in a stack, which determines its frames
+        Extent<D> extent;       // of a plane in a stack, which determines its frames
     };
     struct Work {  // the scratch data of a band
         Band* band;
@@ -194,9 +198,7 @@ private:
     void keep_state(const Frozen* masks);
     void solve_band(int index);
     void solve_pixels(int root);
-    Passed<Lanes> solve_composite(const Lanes (&q)[D], Jet<D, D, true, Lanes>& jet) const;
     void solve(Work& w, Guess guess);
-    void keep(Work& w, const Solution<D, Lanes>& found, const Lanes (&mixed)[D], const Lanes (&smooth2)[2], int start);
     void check(Work& w);
     void split(Work& w, const Cell& cell, const Checked& found);
     void emit(Work& w, int root, int x, int y, int width, int height, const double (*c)[16], const float* depth);
@@ -209,19 +211,15 @@ private:
     void restore(int index, const Grid& grid, int x, int y, int n, Row<D>& row) const;
     void fill_pixels(const Root& root, int index, int y, int n, Row<D>& row) const;
     double reserve() const { return map || freeze ? ROUGH : RESERVE; }
-    double finest() const {
-        double least = std::min(axes[0].spacing, axes[1].spacing);
-        return D == 3 ? std::min(least, axes[2].spacing) : least;
-    }
 
-    std::vector<Stroke> strokes;
+    const Strokes all;
+    const std::vector<Stroke>& strokes = all.table;
+    const Axes& axes = all.axes;
     std::vector<Bound> bounds;          // of each stroke
     const Frozen* freeze;               // the mask, if it concerns any stroke
     const Frozen* hold = nullptr;       // that of the last freeze between strokes, if it holds any of the box
     int held_rows = 0;                  // the strokes before it,
     std::unique_ptr<const Plan> under;  // and their plan, where it holds
-    std::vector<int> all;               // a list of all strokes
-    Axis axes[3];
     int size[2], last[2], across, down;
     size_t words;
     int first_limited = 0;           // the last of the first group with a reach: balls are not carried back beyond it

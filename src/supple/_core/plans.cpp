@@ -14,7 +14,7 @@ namespace {
 
 typedef nb::ndarray<nb::ro, nb::c_contig, nb::device::cpu> Source;
 typedef nb::ndarray<nb::c_contig, nb::device::cpu> Target;
-typedef nb::ndarray<const float, nb::shape<-1, -1, -1, 4>, nb::c_contig, nb::device::cpu> Fields;
+typedef Array<const float, -1, -1, -1, 4> Fields;
 // Of the motion between frames: displacements, the longest of each pair, the position of the first, and their distance.
 typedef std::tuple<Fields, std::vector<float>, double, double, double> Displacements;
 
@@ -94,32 +94,25 @@ struct Sampling {
     Sampling(const Sampling&) = delete;
 };
 
-// Whether no sample is NaN or infinite.
-template <class T>
-bool all_finite(const T* samples, size_t count) {
+// Whether no sample is NaN or infinite: of no other number are all bits of the exponent set.
+template <class Bits>
+bool all_finite(const Bits* samples, size_t count, Bits exponent) {
     constexpr size_t some = 1 << 15;
-    constexpr int lanes = REGISTER / sizeof(T);
     std::atomic<bool> all{true};
     parallel((int)((count + some - 1) / some), [&](int item, int) {
-        const T *p = samples + item * some, *end = samples + std::min((item + 1) * some, count);
-        Pack<T, lanes> off{};  // v - v is 0, or NaN
-        for (; p + lanes <= end; p += lanes) {
-            const Pack<T, lanes> v = load<T, lanes>(p);
-            off += v - v;
-        }
-        T sum = 0;
-        for (int l = 0; l < lanes; l++) sum += off[l];
-        for (; p < end; p++) sum += *p - *p;
-        if (sum != 0) all = false;
+        Bits odd = 0;
+        for (size_t i = item * some; i < std::min((item + 1) * some, count); i++)
+            odd |= (samples[i] & exponent) == exponent;
+        if (odd) all = false;
     });
     return all;
 }
 bool finite(Source samples) {
     const int type = type_of(samples.dtype());
-    if (type != F32 && type != F64) return true;
     return unlocked([&] {
-        return type == F32 ? all_finite((const float*)samples.data(), samples.size())
-                           : all_finite((const double*)samples.data(), samples.size());
+        return type == F32   ? all_finite((const uint32_t*)samples.data(), samples.size(), 0x7F800000u)
+               : type == F64 ? all_finite((const uint64_t*)samples.data(), samples.size(), (uint64_t)0x7FF << 52)
+                             : true;
     });
 }
 
@@ -169,6 +162,9 @@ struct AnyPlan {
     auto with(F f) const {
         return std::visit(f, plan);
     }
+    Checks checks() const {
+        return with([](const Checks& plan) { return plan; });
+    }
 };
 
 template <int D>
@@ -182,66 +178,55 @@ nb::tuple extent_of(const Plan<D>& plan) {
     return nb::make_tuple(nb::tuple(low), nb::tuple(high), e.moved, e.rate);
 }
 
-template <class T>
-using Points = nb::ndarray<T, nb::ndim<3>, nb::c_contig, nb::device::cpu>;
-
 template <class T, int D>
-void points_of(const Plan<D>& plan, Points<T>& out) {
-    const int x0 = plan.box[0], y0 = plan.box[2], wide = plan.box[1] - x0;
-    if ((int)out.shape(0) != plan.box[3] - y0 || (int)out.shape(1) != wide || out.shape(2) != D)
+void points_of(const Plan<D>& plan, Solid<T>& out) {
+    const int x0 = plan.box[0], x1 = plan.box[1], y0 = plan.box[2], y1 = plan.box[3];
+    if ((int)out.shape(0) != y1 - y0 || (int)out.shape(1) != x1 - x0 || out.shape(2) != D)
         throw nb::value_error("points must have the plane's shape, or that of its part");
     T* to = out.data();
     Grid grid;
     grid.size[0] = plan.width;
     grid.size[1] = plan.height;
+    auto write = [&](const Row<D>& row, int x, int y, int n, int at) {
+        T* p = to + ((ptrdiff_t)(y - y0) * (x1 - x0) + x - x0) * D;
+        for (int i = 0; i < n; i++, p += D) {
+            const double own[3] = {(double)(x + i), (double)y, plan.z};
+            for (int d = 0; d < D; d++)
+                p[d] = (T)(row.idle ? own[d] : row.whole[d][at + i] + (double)row.part[d][at + i]);
+        }
+    };
     unlocked([&] {
-        parallel(plan.roots_down(), [&](int j, int) {
-            plan.each_row(grid, j, {x0, plan.box[1], y0, plan.box[3]}, Slopes::NONE,
-                          [&](const Row<D>& row, int x, int y, int n, int at) {
-                              T* p = to + ((ptrdiff_t)(y - y0) * wide + x - x0) * D;
-                              for (int i = 0; i < n; i++, p += D)
-                                  for (int d = 0; d < D; d++)
-                                      p[d] = row.idle ? (T)(d == 0   ? x + i
-                                                            : d == 1 ? y
-                                                                     : plan.z)
-                                                      : (T)(row.whole[d][at + i] + (double)row.part[d][at + i]);
-                          });
-        });
+        parallel(plan.roots_down(), [&](int j, int) { plan.each_row(grid, j, {x0, x1, y0, y1}, Slopes::NONE, write); });
     });
 }
 
 // Sample planes of a stack, each by one thread. Returns the accuracy of the map, and the evaluations.
-nb::tuple warp_stack(const Doubles& table, const Doubles& rows, int height, int width, std::vector<int> planes,
+nb::tuple warp_stack(const Doubles& table, const AxisRows& rows, int height, int width, std::vector<int> planes,
                      double tolerance, nb::list samplings, std::optional<const AnyComposite*> map,
                      std::optional<std::tuple<int, int, int, int>> wanted, std::optional<std::vector<bool>> copied,
                      Masking freeze) {
     if (copied && copied->size() != planes.size()) throw nb::value_error("copied must have a value for each plane");
     const Box box = checked_box(wanted, width, height);
     const std::shared_ptr<const Composite> composite = held(map);
-    Axes axes = axes_of(rows);
-    std::vector<Stroke> strokes = strokes_of(table, axes.data(), freeze);
+    const Strokes strokes = strokes_of(table, rows, freeze);
     std::vector<const Sampling*> all;
     for (nb::handle h : samplings) all.push_back(nb::cast<const Sampling*>(h));
     for (const Sampling* s : all)
         if (s->out.ndim() != 4 || s->out.shape(0) != planes.size())
             throw nb::value_error("out must have an image for each plane");
     for (const Sampling* s : all) check_size(s->job, composite != nullptr, wanted.has_value(), box, width, height);
-    std::vector<double> errors(planes.size()), evaluations(planes.size());
-    std::vector<std::array<long, 3>> bad(planes.size());
+    std::vector<Checks> checks(planes.size());
     std::atomic<bool> small = false;
     unlocked([&] {
         parallel((int)planes.size(), [&](int i, int) {
-            Plan<3> plan(strokes, axes.data(), width, height, planes[i], tolerance, composite, &box,
-                         freeze.value_or(nullptr));
-            errors[i] = plan.error;
-            evaluations[i] = plan.evaluations;
-            bad[i] = {plan.folds, plan.outside, plan.unsolved};
+            Plan<3> plan(strokes, width, height, planes[i], tolerance, composite, &box, freeze.value_or(nullptr));
+            checks[i] = plan;
             // A plane is copied where all of it moves by less than the tolerance: a part of it, too.
             auto unmoved = [&](const Plan<3>& p) { return p.identity || p.extent().moved * sqrt(3.0) <= tolerance; };
             bool still = !composite && (copied ? (*copied)[i] : unmoved(plan));
             if (!copied && still && !plan.identity && wanted && box != Box{0, width, 0, height})
-                still = unmoved(Plan<3>(strokes, axes.data(), width, height, planes[i], tolerance, nullptr, nullptr,
-                                        freeze.value_or(nullptr)));
+                still = unmoved(
+                    Plan<3>(strokes, width, height, planes[i], tolerance, nullptr, nullptr, freeze.value_or(nullptr)));
             for (const Sampling* s : all) {
                 Job job = s->job;
                 const size_t row = (size_t)job.grid.size[0] * job.pixel_bytes();
@@ -259,49 +244,17 @@ nb::tuple warp_stack(const Doubles& table, const Doubles& rows, int height, int 
         });
     });
     if (small) refuse_small();
-    double error = 0, sum = 0;
-    std::array<long, 3> all_bad{};
-    for (size_t i = 0; i < planes.size(); i++) {
-        error = std::max(error, errors[i]);
-        sum += evaluations[i];
-        for (int n = 0; n < 3; n++) all_bad[n] += bad[i][n];
-    }
-    return nb::make_tuple(error, sum, nb::make_tuple(all_bad[0], all_bad[1], all_bad[2]));
+    Checks all_checks;
+    for (const Checks& c : checks) all_checks |= c;
+    return nb::make_tuple(all_checks.error, all_checks.evaluations,
+                          nb::make_tuple(all_checks.folds, all_checks.outside, all_checks.unsolved));
 }
 
 // The part of the frames that a box of planes reads, and how far each plane moves there.
-template <int D>
-nb::tuple needed_by(const Doubles& table, const Doubles& rows, int height, int width, const std::vector<int>& planes,
-                    double tolerance, const Job& job, const std::shared_ptr<const Composite>& composite, const Box& box,
-                    const Masking& freeze) {
-    Axes axes = axes_of(rows);
-    std::vector<Stroke> strokes = strokes_of(table, axes.data(), freeze);
-    std::vector<Portion> parts(planes.size());
-    std::vector<double> moved(planes.size()), errors(planes.size());
-    std::vector<std::array<long, 3>> bad(planes.size());
-    unlocked([&] {
-        parallel((int)planes.size(), [&](int i, int) {
-            Plan<D> plan(strokes, axes.data(), width, height, planes[i], tolerance, composite, &box,
-                         freeze.value_or(nullptr));
-            parts[i] = needed(plan, job);
-            moved[i] = plan.identity ? -1 : plan.extent().moved;
-            errors[i] = plan.error;
-            bad[i] = {plan.unsolved, plan.folds, plan.outside};
-        });
-    });
-    Portion all;
-    for (const Portion& part : parts) all |= part;
-    long sums[3] = {};
-    for (const auto& each : bad)
-        for (int n = 0; n < 3; n++) sums[n] += each[n];
-    return nb::make_tuple(nb::make_tuple(all.box[0], all.box[1], all.box[2], all.box[3], all.frames[0], all.frames[1]),
-                          moved, *std::max_element(errors.begin(), errors.end()),
-                          nb::make_tuple(sums[0], sums[1], sums[2]));
-}
-nb::tuple needed_of(const Doubles& table, const Doubles& rows, int ndim, int height, int width, std::vector<int> planes,
-                    double tolerance, int count, std::tuple<int, int> size, int filter, int between, int rule,
-                    bool average, std::optional<const AnyComposite*> map, std::tuple<int, int, int, int> wanted,
-                    Masking freeze) {
+nb::tuple needed_of(const Doubles& table, const AxisRows& rows, int ndim, int height, int width,
+                    std::vector<int> planes, double tolerance, int count, std::tuple<int, int> size, int filter,
+                    int between, int rule, bool average, std::optional<const AnyComposite*> map,
+                    std::tuple<int, int, int, int> wanted, Masking freeze) {
     Job job{};
     std::tie(job.h, job.w) = size;
     job.count = count;
@@ -312,8 +265,26 @@ nb::tuple needed_of(const Doubles& table, const Doubles& rows, int ndim, int hei
     const Box box = checked_box(wanted, width, height);
     job = placed(job, box, width, height);
     const std::shared_ptr<const Composite> composite = held(map);
-    return ndim == 2 ? needed_by<2>(table, rows, height, width, planes, tolerance, job, composite, box, freeze)
-                     : needed_by<3>(table, rows, height, width, planes, tolerance, job, composite, box, freeze);
+    const Strokes strokes = strokes_of(table, rows, freeze);
+    std::vector<Portion> parts(planes.size());
+    std::vector<double> moved(planes.size());
+    std::vector<Checks> checks(planes.size());
+    auto look = [&]<int D>(int i) {
+        Plan<D> plan(strokes, width, height, planes[i], tolerance, composite, &box, freeze.value_or(nullptr));
+        parts[i] = needed(plan, job);
+        moved[i] = plan.identity ? -1 : plan.extent().moved;
+        checks[i] = plan;
+    };
+    unlocked([&] {
+        parallel((int)planes.size(),
+                 [&](int i, int) { ndim == 2 ? look.template operator()<2>(i) : look.template operator()<3>(i); });
+    });
+    Portion all;
+    for (const Portion& part : parts) all |= part;
+    Checks sum;
+    for (const Checks& c : checks) sum |= c;
+    return nb::make_tuple(nb::make_tuple(all.box[0], all.box[1], all.box[2], all.box[3], all.frames[0], all.frames[1]),
+                          moved, sum.error, nb::make_tuple(sum.unsolved, sum.folds, sum.outside));
 }
 
 }  // namespace
@@ -329,53 +300,43 @@ void bind_plans(nb::module_& m) {
     nb::class_<AnyPlan>(m, "Plan", "T⁻¹ on one plane, ready to be filled in.")
         .def(
             "__init__",
-            [](AnyPlan* self, const Doubles& table, const Doubles& rows, int ndim, int height, int width, double z,
+            [](AnyPlan* self, const Doubles& table, const AxisRows& rows, int ndim, int height, int width, double z,
                double tolerance, std::optional<const AnyComposite*> map,
                std::optional<std::tuple<int, int, int, int>> wanted, Masking freeze) {
-                Axes axes = axes_of(rows);
-                std::vector<Stroke> strokes = strokes_of(table, axes.data(), freeze);
+                const Strokes strokes = strokes_of(table, rows, freeze);
                 if (height < 1 || width < 1) throw nb::value_error("a plane has at least one pixel");
                 if (map && *map && (*map)->ndim != ndim) throw nb::value_error("the map has another number of axes");
                 const Box box = checked_box(wanted, width, height);
-                const std::shared_ptr<const Composite> composite = held(map);
-                unlocked([&] {
-                    if (ndim == 2)
-                        new (self) AnyPlan{std::variant<Plan<2>, Plan<3>>(std::in_place_index<0>, std::move(strokes),
-                                                                          axes.data(), width, height, z, tolerance,
-                                                                          composite, &box, freeze.value_or(nullptr))};
-                    else
-                        new (self) AnyPlan{std::variant<Plan<2>, Plan<3>>(std::in_place_index<1>, std::move(strokes),
-                                                                          axes.data(), width, height, z, tolerance,
-                                                                          composite, &box, freeze.value_or(nullptr))};
-                });
+                auto make = [&](auto which) {
+                    new (self) AnyPlan{std::variant<Plan<2>, Plan<3>>(which, strokes, width, height, z, tolerance,
+                                                                      held(map), &box, freeze.value_or(nullptr))};
+                };
+                unlocked([&] { ndim == 2 ? make(std::in_place_index<0>) : make(std::in_place_index<1>); });
             },
             "strokes"_a, "axes"_a, "ndim"_a, "height"_a, "width"_a, "z"_a, "tolerance"_a, "map"_a = nb::none(),
             "box"_a = nb::none(), "freeze"_a = nb::none(), nb::keep_alive<1, 11>())
-        .def_prop_ro("error", [](const AnyPlan& p) { return p.with([](auto& plan) { return plan.error; }); })
-        .def_prop_ro("evaluations",
-                     [](const AnyPlan& p) { return p.with([](auto& plan) { return plan.evaluations; }); })
-        .def_prop_ro("unsolved", [](const AnyPlan& p) { return p.with([](auto& plan) { return plan.unsolved; }); })
-        .def_prop_ro("folds", [](const AnyPlan& p) { return p.with([](auto& plan) { return plan.folds; }); })
-        .def_prop_ro("outside", [](const AnyPlan& p) { return p.with([](auto& plan) { return plan.outside; }); })
+        .def_prop_ro("error", [](const AnyPlan& p) { return p.checks().error; })
+        .def_prop_ro("evaluations", [](const AnyPlan& p) { return p.checks().evaluations; })
+        .def_prop_ro("unsolved", [](const AnyPlan& p) { return p.checks().unsolved; })
+        .def_prop_ro("folds", [](const AnyPlan& p) { return p.checks().folds; })
+        .def_prop_ro("outside", [](const AnyPlan& p) { return p.checks().outside; })
         .def_prop_ro("identity", [](const AnyPlan& p) { return p.with([](auto& plan) { return plan.identity; }); })
         .def(
             "extent", [](const AnyPlan& p) { return p.with([](auto& plan) { return extent_of(plan); }); },
             "Return the least and the largest coordinates of source points, how far any is from q, and the largest "
             "|∂p_z/∂q|.")
         .def(
-            "points", [](const AnyPlan& p, Points<float> out) { p.with([&](auto& plan) { points_of(plan, out); }); },
+            "points", [](const AnyPlan& p, Solid<float> out) { p.with([&](auto& plan) { points_of(plan, out); }); },
             nb::arg("out").noconvert(),
             "Write the source point of every pixel of the plane, or of its part: (h, w, D), in float32 or float64.")
         .def(
-            "points", [](const AnyPlan& p, Points<double> out) { p.with([&](auto& plan) { points_of(plan, out); }); },
+            "points", [](const AnyPlan& p, Solid<double> out) { p.with([&](auto& plan) { points_of(plan, out); }); },
             nb::arg("out").noconvert())
         .def(
             "measure",
             [](const AnyPlan& p, double finest) {
-                double worst;
-                long unknown;
-                p.with([&](auto& plan) { unlocked([&] { plan.measure(finest, worst, unknown); }); });
-                return nb::make_tuple(worst, unknown);
+                const Checks found = unlocked([&] { return p.with([&](auto& plan) { return plan.measure(finest); }); });
+                return nb::make_tuple(found.error, found.unsolved);
             },
             "finest"_a,
             "Return the largest distance of a source point to the true T⁻¹(q), and of how many it is not known.")

@@ -497,52 +497,6 @@ private:
     }
 };
 
-// The strokes of a table, all of them, and the domain.
-struct Strokes {
-    Axes axes;
-    std::vector<Stroke> strokes;
-    std::vector<int> list;
-
-    Strokes(const Axes& axes, std::vector<Stroke> table) : axes(axes), strokes(std::move(table)) {
-        for (size_t i = 0; i < strokes.size(); i++) list.push_back((int)i);
-    }
-    Chain chain() const { return {strokes.data(), list.data(), (int)list.size()}; }
-    double finest() const { return least(axes[0].spacing, least(axes[1].spacing, axes[2].spacing)); }
-
-    // True if x lies in any stroke's ball; elsewhere T(x) = x. With a fixed border, x is the nearest point of the
-    // domain.
-    template <class V>
-    INLINE bool reaches(const V* x) const {
-        for (const Stroke& k : strokes) {
-            V s = V{};
-            for (int i = 0; i < 3; i++) {
-                V near = x[i];
-                if (axes[i].fixed()) near = nearest(near, axes[i]);
-                s += (near - k.pivot[i]) * (near - k.pivot[i]);
-            }
-            if (k.per_reach == 0 || any(s < k.reach * k.reach)) return true;
-        }
-        return false;
-    }
-
-    // T⁻¹ of q from the guess in `found.p`; without it, if it was not good enough for all lanes.
-    template <class V>
-    INLINE void settle(const V* q, double tolerance, Solution<3, V>& found) const {
-        if (!reaches(q)) {
-            for (int i = 0; i < 3; i++) {
-                found.p[i] = q[i];
-                for (int j = 0; j < 3; j++) found.m[j][i] = splat<V>(i == j);
-            }
-            return;
-        }
-        newton<3>(chain(), axes.data(), q, tolerance, 10, found);
-        if (!any(without(splat<V>(0.0) <= 0.0, found.done))) return;
-        V before = found.steps;
-        undo<3>(chain(), axes.data(), q, tolerance, found);
-        found.steps += before;
-    }
-};
-
 // The sources of points: the points themselves ...
 struct Still {
     Triple place(const Beam& beam, const Number& t, Chosen) { return beam.points(t.all); }
@@ -554,7 +508,7 @@ struct Still {
 // ... or T⁻¹ of them, where strokes reach a ray, each from the displacement of the ray's point before.
 class Inverted {
 public:
-    Inverted(const Strokes& strokes, const Look& look, Beam& beam) : s(strokes), look(look) {
+    Inverted(const Strokes& strokes, const Look& look, Beam& beam) : strokes(strokes), look(look) {
         for (int l = 0; l < RAYS; l++) reach(beam, l);
     }
 
@@ -573,7 +527,7 @@ public:
                     found.p[c][k] = q[c][k] + shift[c][l];
                 }
             }
-            s.settle(q, EXACT * s.finest(), found);
+            settle(q, found);
             for (int k = 0; k < LANES && i + k < n; k++) {
                 const int l = each_of[i + k];
                 for (int c = 0; c < 3; c++) {
@@ -597,15 +551,47 @@ public:
     }
 
 private:
-    const Strokes& s;
+    const Strokes& strokes;
     const Look& look;
     Chosen moved{};
     double shift[3][RAYS] = {};  // millimetres
     Triple m[3];
 
+    // True if x lies in any stroke's ball; elsewhere T(x) = x. With a fixed border, x is the nearest point of the
+    // domain.
+    INLINE bool reached(const Lanes* x) const {
+        for (const Stroke& k : strokes.table) {
+            Lanes s{};
+            for (int i = 0; i < 3; i++) {
+                const Lanes near = strokes.axes[i].fixed() ? nearest(x[i], strokes.axes[i]) : x[i];
+                s += (near - k.pivot[i]) * (near - k.pivot[i]);
+            }
+            if (k.per_reach == 0 || any(s < k.reach * k.reach)) return true;
+        }
+        return false;
+    }
+
+    // T⁻¹ of q from the guess in `found.p`; without it, if it was not good enough for all lanes.
+    INLINE void settle(const Lanes* q, Solution<3, Lanes>& found) const {
+        const Axis* axes = strokes.axes.data();
+        const double tolerance = EXACT * finest_of<3>(axes);
+        if (!reached(q)) {
+            for (int i = 0; i < 3; i++) {
+                found.p[i] = q[i];
+                found.m[i][i] = splat<Lanes>(1.0);
+            }
+            return;
+        }
+        newton<3>(strokes.chain(), axes, q, tolerance, 10, found);
+        if (!any(without(Mask{} == 0, found.done))) return;
+        const Lanes before = found.steps;
+        undo<3>(strokes.chain(), axes, q, tolerance, found);
+        found.steps += before;
+    }
+
     // Find the range in which strokes reach a ray.
     void reach(Beam& beam, int l) const {
-        for (const Stroke& k : s.strokes) {
+        for (const Stroke& k : strokes.table) {
             double b = 0, d2 = 0;  // the way to the nearest point, and the pivot's distance from the start
             for (int i = 0; i < 3; i++) {
                 const double r = k.pivot[i] - double(beam.first.part[i].one[l]) * look.spacing[i];
@@ -621,61 +607,6 @@ private:
 };
 
 // ---- where a volume can be seen at all -----------------------------------------------------------------------------
-
-// The smallest and the largest sample of each brick in layer c, of bricks that are `brick` voxels wide.
-template <class T>
-void ranges(const T* samples, const int64_t* n, int brick, const int64_t* bricks, int64_t c, float* lows,
-            float* highs) {
-    auto end = [&](int64_t at, int axis) { return least(at * brick + brick + 1, n[axis]); };
-    for (int64_t b = 0; b < bricks[1]; b++)
-        for (int64_t a = 0; a < bricks[0]; a++) {
-            T low = std::numeric_limits<T>::max(), high = std::numeric_limits<T>::lowest();
-            for (int64_t z = c * brick; z < end(c, 2); z++)
-                for (int64_t y = b * brick; y < end(b, 1); y++)
-                    for (int64_t x = a * brick; x < end(a, 0); x++) {
-                        T value = samples[(z * n[1] + y) * n[0] + x];
-                        low = least(low, value);
-                        high = most(high, value);
-                    }
-            *lows++ = float(low);
-            *highs++ = float(high);
-        }
-}
-
-// The mean of a table's entries, by the samples of each block in layer c, of blocks that are `wide` voxels wide.
-template <class T>
-void block_means(const T* samples, const int64_t* n, const int64_t* wide, const int64_t* blocks, int64_t c,
-                 const float* table, float last_entry, float low, float scale, float* out) {
-    auto end = [&](int64_t at, int axis) { return least((at + 1) * wide[axis], n[axis]); };
-    for (int64_t b = 0; b < blocks[1]; b++)
-        for (int64_t a = 0; a < blocks[0]; a++) {
-            float sum = 0;
-            int count = 0;
-            for (int64_t z = c * wide[2]; z < end(c, 2); z++)
-                for (int64_t y = b * wide[1]; y < end(b, 1); y++)
-                    for (int64_t x = a * wide[0]; x < end(a, 0); x++, count++) {
-                        float entry = (float(samples[(z * n[1] + y) * n[0] + x]) - low) * scale;
-                        sum += table[int32_t(least(most(entry, 0.0f), last_entry) + 0.5f)];
-                    }
-            *out++ = sum / float(count);
-        }
-}
-
-// The distance of each brick to the nearest visible one, diagonals counting as one; at most 255. Forwards and
-// backwards, from the finished neighbours: exact for this distance.
-inline void distances(const bool* seen, const int64_t* n, uint8_t* out) {
-    const int64_t total = n[0] * n[1] * n[2];
-    for (int64_t i = 0; i < total; i++) out[i] = seen[i] ? 0 : 255;
-    for (int way : {1, -1})
-        for (int64_t i = 0; i < total; i++) {
-            int64_t at = way > 0 ? i : total - 1 - i, a = at % n[0], b = at / n[0] % n[1], c = at / (n[0] * n[1]);
-            for (int other = 0; other < 13 && out[at] > 1; other++) {  // of 27, in the order of memory
-                int64_t x = a + way * (other % 3 - 1), y = b + way * (other / 3 % 3 - 1), z = c + way * (other / 9 - 1);
-                if (x < 0 || x >= n[0] || y < 0 || y >= n[1] || z < 0 || z >= n[2]) continue;
-                out[at] = uint8_t(least(int(out[at]), out[(z * n[1] + y) * n[0] + x] + 1));
-            }
-        }
-}
 
 // The largest part of what is seen, of voxels that touch by their faces; of equal ones, the first. It is found by
 // marking all of them, and then marked alone: a label of each voxel would take eight times the memory.

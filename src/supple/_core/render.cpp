@@ -7,8 +7,6 @@
 namespace supple {
 namespace {
 
-template <class T, int N>
-using Array = nb::ndarray<T, nb::ndim<N>, nb::c_contig, nb::device::cpu>;
 typedef nb::ndarray<nb::ro, nb::ndim<3>, nb::c_contig, nb::device::cpu> Samples;
 
 // Call `f` with the samples of a volume in their type.
@@ -51,16 +49,14 @@ std::array<int64_t, 3> sizes(const A& a) {
     return {(int64_t)a.shape(2), (int64_t)a.shape(1), (int64_t)a.shape(0)};
 }
 
-void make_strokes(Strokes* self, const Doubles& rows, const Doubles& axes, Masking freeze) {
-    const Axes domain = axes_of(axes);
-    new (self) Strokes(domain, strokes_of(rows, domain.data(), freeze));
+void make_strokes(Strokes* self, const Doubles& rows, const AxisRows& axes, Masking freeze) {
+    new (self) Strokes(strokes_of(rows, axes, freeze));
 }
 
 Float4 point_of(const float* at) { return Float4{at[0], at[1], at[2], 0}; }
 
-void look_up(Samples samples, Array<const float, 2> points, Array<float, 2> out, bool labelled) {
-    if (points.shape(1) != 3 || out.shape(0) != points.shape(0) || out.shape(1) != 4)
-        throw nb::value_error("points must be (N, 3), and out (N, 4)");
+void look_up(Samples samples, Array<const float, -1, 3> points, Array<float, -1, 4> out, bool labelled) {
+    if (out.shape(0) != points.shape(0)) throw nb::value_error("out must have a row for each point");
     with_volume(samples, {}, labelled, [&](const Volume& voxels) {
         Chosen first{};
         first[0] = -1;
@@ -74,16 +70,13 @@ void look_up(Samples samples, Array<const float, 2> points, Array<float, 2> out,
     });
 }
 
-Look* make_look(Array<const double, 2> camera, Array<const uint8_t, 3> skips, Array<const float, 2> table,
-                Array<const double, 2> sums, float low, float scale, float threshold, float top, double step,
-                std::array<float, 3> lamp, bool shaded, Array<const double, 2> box, std::array<double, 4> plane,
-                float silhouettes, int projection, Array<const float, 3> arrives, Array<const float, 2> placed,
+Look* make_look(Array<const double, 5, 3> camera, Solid<const uint8_t> skips, Array<const float, -1, 4> table,
+                Array<const double, -1, 4> sums, float low, float scale, float threshold, float top, double step,
+                std::array<float, 3> lamp, bool shaded, Array<const double, 2, 3> box, std::array<double, 4> plane,
+                float silhouettes, int projection, Solid<const float> arrives, Array<const float, 2, 3> placed,
                 bool labelled) {
-    if (camera.shape(0) != 5 || camera.shape(1) != 3) throw nb::value_error("a camera must be 5 rows of 3 numbers");
-    if (box.shape(0) != 2 || box.shape(1) != 3) throw nb::value_error("a box must be 2 rows of 3 numbers");
-    if (table.shape(0) < 1 || table.shape(1) != 4) throw nb::value_error("a table must be rows of 4 numbers");
-    if (sums.shape(0) != table.shape(0) + 1 || sums.shape(1) != 4)
-        throw nb::value_error("sums must be a row more than the table, of 4 numbers");
+    if (table.shape(0) < 1 || sums.shape(0) != table.shape(0) + 1)
+        throw nb::value_error("sums must be a row more than the table, which has one at least");
     auto* look = new Look;
     Double4* rows[] = {&look->eye, &look->spacing, &look->ahead, &look->right, &look->down};
     for (int k = 0; k < 5; k++) *rows[k] = Double4{camera(k, 0), camera(k, 1), camera(k, 2), k == 1 ? 1.0 : 0.0};
@@ -99,7 +92,6 @@ Look* make_look(Array<const double, 2> camera, Array<const uint8_t, 3> skips, Ar
     look->silhouettes = silhouettes;
     look->labelled = labelled;
     look->projection = decltype(look->projection)(projection);
-    if (placed.shape(0) != 2 || placed.shape(1) != 3) throw nb::value_error("placed must be 2 rows of 3 numbers");
     look->arrives.assign(arrives.data(), arrives.data() + arrives.size());
     look->nodes = sizes(arrives);
     for (int i = 0; i < 3 && arrives.size() > 0; i++)
@@ -126,14 +118,12 @@ Look* make_look(Array<const double, 2> camera, Array<const uint8_t, 3> skips, Ar
 // columns, 2) of the first surface and where opacity passes 0.9, or infinity; and work (rows, columns, 2), samples and
 // evaluations. `ends` (rows, columns, 4) is what `raster` makes: opaque, behind what is seen of the volume before it,
 // and before projections, which are nowhere along their rays.
-void draw(Samples samples, Colours colours, const Look& look, const Strokes* strokes, Array<const double, 1> columns,
-          Array<const double, 1> rows, Array<float, 3> light, Array<double, 3> depth, Array<int64_t, 3> work,
-          std::optional<Array<const float, 3>> ends) {
+void draw(Samples samples, Colours colours, const Look& look, const Strokes* strokes, Array<const double, -1> columns,
+          Array<const double, -1> rows, Array<float, -1, -1, 4> light, Array<double, -1, -1, 2> depth,
+          Array<int64_t, -1, -1, 2> work, std::optional<Array<const float, -1, -1, 4>> ends) {
     const int height = (int)rows.size(), width = (int)columns.size();
-    auto fits = [&](auto& a, size_t n) {
-        return (int)a.shape(0) == height && (int)a.shape(1) == width && a.shape(2) == n;
-    };
-    if (!fits(light, 4) || !fits(depth, 2) || !fits(work, 2) || (ends && !fits(*ends, 4)))
+    auto fits = [&](auto& a) { return (int)a.shape(0) == height && (int)a.shape(1) == width; };
+    if (!fits(light) || !fits(depth) || !fits(work) || (ends && !fits(*ends)))
         throw nb::value_error("a picture must have its rows and columns");
     const int across = (width + TILE - 1) / TILE, down = (height + TILE - 1) / TILE;
     with_volume(samples, colours, look.labelled, [&](const Volume& voxels) {
@@ -166,13 +156,11 @@ void draw(Samples samples, Colours colours, const Look& look, const Strokes* str
 
 // Draw a mesh into what rays end at, (rows, columns, 4): colours in linear light and millimetres from the eye, at first
 // infinity. Points are in millimetres along the volume's axes, and normals of unit length or 0.
-void raster(const Look& look, Array<const double, 2> points, Array<const float, 2> normals,
-            Array<const int32_t, 2> triangles, Array<const int32_t, 2> lines, std::array<float, 3> colour,
-            double radius, Array<const double, 1> columns, Array<const double, 1> rows, Array<float, 3> out) {
-    if (points.shape(1) != 3 || normals.shape(1) != 3 || normals.shape(0) != points.shape(0) ||
-        triangles.shape(1) != 3 || lines.shape(1) != 2)
-        throw nb::value_error("points and normals must be (N, 3), triangles (T, 3) and lines (L, 2)");
-    if (out.shape(0) != rows.size() || out.shape(1) != columns.size() || out.shape(2) != 4)
+void raster(const Look& look, Triples points, Array<const float, -1, 3> normals, Array<const int32_t, -1, 3> triangles,
+            Array<const int32_t, -1, 2> lines, std::array<float, 3> colour, double radius,
+            Array<const double, -1> columns, Array<const double, -1> rows, Array<float, -1, -1, 4> out) {
+    if (normals.shape(0) != points.shape(0)) throw nb::value_error("each point must have a normal");
+    if (out.shape(0) != rows.size() || out.shape(1) != columns.size())
         throw nb::value_error("a picture must have its rows and columns");
     const Rays rays{columns.data(), rows.data(), (int)columns.size(), (int)rows.size()};
     const Mesh mesh{points.data(),           (int64_t)points.shape(0),    normals.data(),
@@ -181,50 +169,75 @@ void raster(const Look& look, Array<const double, 2> points, Array<const float, 
     unlocked([&] { Raster(look, rays, mesh, out.data()); });
 }
 
-void brick_ranges(Samples samples, int brick, Array<float, 3> lows, Array<float, 3> highs) {
+// The smallest and the largest sample of each brick, of bricks that are `brick` voxels wide.
+void brick_ranges(Samples samples, int brick, Solid<float> lows, Solid<float> highs) {
     const auto n = sizes(samples), bricks = sizes(lows);
     for (int i = 0; i < 3; i++)
         if (brick < 1 || bricks[i] != most((n[i] - 1 + brick - 1) / brick, int64_t(1)) || sizes(highs)[i] != bricks[i])
             throw nb::value_error("lows and highs must be as many as there are bricks");
-    const int64_t layer = bricks[0] * bricks[1];
-    with_samples(samples, [&](auto* data) {
-        unlocked([&] {
-            parallel((int)bricks[2], [&](int c, int) {
-                ranges(data, n.data(), brick, bricks.data(), c, lows.data() + c * layer, highs.data() + c * layer);
-            });
-        });
+    auto end = [&](int64_t at, int axis) { return least(at * brick + brick + 1, n[axis]); };
+    with_samples(samples, [&]<class T>(const T* data) {
+        auto in_layer = [&](int c, int) {
+            for (int64_t b = 0, at = c * bricks[0] * bricks[1]; b < bricks[1]; b++)
+                for (int64_t a = 0; a < bricks[0]; a++, at++) {
+                    T low = std::numeric_limits<T>::max(), high = std::numeric_limits<T>::lowest();
+                    for (int64_t z = (int64_t)c * brick; z < end(c, 2); z++)
+                        for (int64_t y = b * brick; y < end(b, 1); y++)
+                            for (int64_t x = a * brick; x < end(a, 0); x++) {
+                                T value = data[(z * n[1] + y) * n[0] + x];
+                                low = least(low, value);
+                                high = most(high, value);
+                            }
+                    lows.data()[at] = float(low);
+                    highs.data()[at] = float(high);
+                }
+        };
+        unlocked([&] { parallel((int)bricks[2], in_layer); });
     });
 }
 
-void mean_blocks(Samples samples, std::array<int64_t, 3> wide, Array<const float, 1> table, float low, float scale,
-                 Array<float, 3> out) {
+// The mean of a table's entries, by the samples of each block, of blocks that are `wide` voxels wide.
+void mean_blocks(Samples samples, std::array<int64_t, 3> wide, Array<const float, -1> table, float low, float scale,
+                 Solid<float> out) {
     const auto n = sizes(samples), blocks = sizes(out);
     for (int i = 0; i < 3; i++)
         if (wide[i] < 1 || blocks[i] != (n[i] + wide[i] - 1) / wide[i])
             throw nb::value_error("out must be as many as there are blocks");
-    const float last_entry = float(table.size() - 1);
+    const float last_entry = float(table.size() - 1), *entries = table.data();
+    auto end = [&](int64_t at, int axis) { return least((at + 1) * wide[axis], n[axis]); };
     with_samples(samples, [&](auto* data) {
-        unlocked([&] {
-            parallel((int)blocks[2], [&](int c, int) {
-                block_means(data, n.data(), wide.data(), blocks.data(), c, table.data(), last_entry, low, scale,
-                            out.data() + c * blocks[0] * blocks[1]);
-            });
-        });
+        auto in_layer = [&](int c, int) {
+            for (int64_t b = 0, at = c * blocks[0] * blocks[1]; b < blocks[1]; b++)
+                for (int64_t a = 0; a < blocks[0]; a++, at++) {
+                    float sum = 0;
+                    int count = 0;
+                    for (int64_t z = c * wide[2]; z < end(c, 2); z++)
+                        for (int64_t y = b * wide[1]; y < end(b, 1); y++)
+                            for (int64_t x = a * wide[0]; x < end(a, 0); x++, count++) {
+                                float entry = (float(data[(z * n[1] + y) * n[0] + x]) - low) * scale;
+                                sum += entries[int32_t(least(most(entry, 0.0f), last_entry) + 0.5f)];
+                            }
+                    out.data()[at] = sum / float(count);
+                }
+        };
+        unlocked([&] { parallel((int)blocks[2], in_layer); });
     });
 }
 
-void brick_distances(Array<const bool, 3> seen, Array<uint8_t, 3> out) {
+void brick_distances(Solid<const bool> seen, Solid<uint8_t> out) {
     if (sizes(seen) != sizes(out)) throw nb::value_error("out must be of the shape of seen");
-    distances(seen.data(), sizes(seen).data(), out.data());
+    for (size_t i = 0; i < seen.size(); i++) out.data()[i] = seen.data()[i] ? 0 : 255;
+    const int n[3] = {(int)seen.shape(2), (int)seen.shape(1), (int)seen.shape(0)};
+    to_distances(n, out.data());
 }
 
-void largest_part(Array<const bool, 3> seen, Array<bool, 3> out) {
+void largest_part(Solid<const bool> seen, Solid<bool> out) {
     if (sizes(seen) != sizes(out)) throw nb::value_error("out must be of the shape of seen");
     unlocked([&] { largest(seen.data(), sizes(seen).data(), out.data()); });
 }
 
-void brick_moved(Array<const float, 4> nodes, int step, Array<const bool, 3> seen, int fine, float slack,
-                 Array<bool, 3> out) {
+void brick_moved(Array<const float, -1, -1, -1, -1> nodes, int step, Solid<const bool> seen, int fine, float slack,
+                 Solid<bool> out) {
     const std::array<int64_t, 3> n = {(int64_t)nodes.shape(2), (int64_t)nodes.shape(1), (int64_t)nodes.shape(0)};
     if (nodes.shape(3) != NODE || least(n[0], least(n[1], n[2])) < 2 || step < 1)
         throw nb::value_error("a lattice must be two nodes of 16 numbers along each axis at least");

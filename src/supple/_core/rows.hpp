@@ -196,22 +196,11 @@ struct Places {
     template <int LEFT, int RIGHT, int C, class T>
     INLINE void find(const Frames<T>& f, const int* x, const int* y, int from, int end) {
         // A window that begins before a frame's first sample lies far beyond it, as an unsigned number.
-        typedef Pack<uint32_t, REGISTER / 4> Some;
-        constexpr int some = REGISTER / 4;
-        Some lane{}, far_x{}, far_y{};
-        for (int l = 0; l < some; l++) lane[l] = l;
-        for (int k = from; k < end; k += some) {
-            const Some a = load<uint32_t, some>((const uint32_t*)x + k),
-                       b = load<uint32_t, some>((const uint32_t*)y + k);
-            const Some all = b * (uint32_t)f.row + a * (uint32_t)C, own = (Some)(lane < (uint32_t)(end - k));
-            memcpy(at + k, &all, sizeof all);
-            far_x = most(far_x, Some((a - (uint32_t)LEFT) & own));
-            far_y = most(far_y, Some((b - (uint32_t)LEFT) & own));
-        }
         uint32_t most_x = 0, most_y = 0;
-        for (int l = 0; l < some; l++) {
-            most_x = std::max<uint32_t>(most_x, far_x[l]);
-            most_y = std::max<uint32_t>(most_y, far_y[l]);
+        for (int k = from; k < end; k++) {
+            at[k] = (int)((uint32_t)y[k] * (uint32_t)f.row + (uint32_t)x[k] * (uint32_t)C);
+            most_x = std::max(most_x, (uint32_t)(x[k] - LEFT));
+            most_y = std::max(most_y, (uint32_t)(y[k] - LEFT));
         }
         constexpr int around = LEFT + RIGHT;
         inside = f.w > around && f.h > around && most_x < (uint32_t)(f.w - around) &&
@@ -280,8 +269,9 @@ NOINLINE void sample_footprints(const Frames<T>& given, const Pyramid<N>& pyrami
                                                places.inside || inner<C, 1, 3>(f, prints.x[k], prints.y[k]),
                                                place_of<C>(f, prints.x[k], prints.y[k]), spot));
         else
-            put(k, wide<Pixel<N>>(levels_in<C, SEVERAL>(f, pyramid, mix), (N)x[k] + fx, (N)y[k] + fy, (N)prints.xx[k],
-                                  (N)prints.xy[k], (N)prints.yy[k]));
+            put(k, wide<Pixel<N>>(Levels<N>{&f, pyramid, mix, spots_of<N, C, SEVERAL, T>, spots_of < N, C == 1 ? 1 : 4,
+                                            SEVERAL, N > },
+                                  (N)x[k] + fx, (N)y[k] + fy, (N)prints.xx[k], (N)prints.xy[k], (N)prints.yy[k]));
     }
 }
 

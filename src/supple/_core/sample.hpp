@@ -86,7 +86,7 @@ INLINE Pixel<N> cubic_at(Taps taps, ptrdiff_t row, N fx, N fy) {
     ptrdiff_t o = -row - C;
     Pack<N, L> v = w[0] * taps.template at<N, L>(o);
     for (int j = 1; j < 4; j++) v += w[j] * taps.template at<N, L>(o + j * row);
-    return sum_of<N, C, 4>(v * weights<N, C, L>(fx));
+    return sum_of<N, C>(v * weights<N, C, L>(fx));
 }
 
 // left, right: the weights of the window's rows for the spot's left and right points, ES apart.
@@ -101,7 +101,7 @@ INLINE Pixel<N> spot_at(Taps taps, ptrdiff_t row, Across<N> x, const N* left, co
         b += r * right[j * ES];
     }
     Pack<N, L> v = a * halves<N, C, L>[0](x.first) + b * halves<N, C, L>[x.shift](x.second);
-    Pixel<N> s = sum_of<N, C, 4>(v);
+    Pixel<N> s = sum_of<N, C>(v);
     if constexpr (C == 4) {  // the fifth column did not fit
         Pixel<N> b4 = right[0] * taps.template at<N, 4>(o + 16);
         for (int j = 1; j < WINDOW; j++) b4 += right[j * ES] * taps.template at<N, 4>(o + 16 + j * row);
@@ -115,8 +115,7 @@ INLINE Pixel<N> spot_at(Taps taps, ptrdiff_t row, Across<N> x, const N* left, co
         return s + part<N, 1>(v);
 }
 
-// ---- frames, and how they are mixed at a pixel
-// ------------------------------------------------------------------------
+// ---- frames, and how they are mixed at a pixel ----------------------------------------------------------------------
 
 // Frames of one kind, with C interleaved channels, `row` numbers from one row to the next.
 template <class T>
@@ -286,38 +285,25 @@ struct Level {
             [&](auto taps, ptrdiff_t row) INLINE_LAMBDA { return spot_at<N, C, 1>(taps, row, across, left, right); });
     }
 };
-// A level of any type, so that `wide` is compiled once for all.
-template <class N>
-struct AnyLevel {
-    typedef Pixel<N> (*Spots)(const void* frames, const Mix<N>& mix, int n, N x, N y, N ux, N uy, N length, N w2);
-    const void* frames;
-    const Mix<N>& mix;
-    Spots read;
-};
 template <class N, int C, bool SEVERAL, class T>
 NOINLINE Pixel<N> spots_of(const void* frames, const Mix<N>& mix, int n, N x, N y, N ux, N uy, N length, N w2) {
     const Level<N, C, SEVERAL, T> level{*(const Frames<T>*)frames, mix};
     return spots<Pixel<N>>(level, n, x, y, ux, uy, length, w2);
 }
-template <class P, class N>
-INLINE P spots(const AnyLevel<N>& level, int n, N x, N y, N ux, N uy, N length, N w2) {
-    return level.read(level.frames, level.mix, n, x, y, ux, uy, length, w2);
-}
-// The frames, and their pyramid.
+// Frames of any type and their pyramid, so that `wide` is compiled once for all.
 template <class N>
 struct Levels {
-    AnyLevel<N> samples;
+    typedef Pixel<N> (*Spots)(const void* frames, const Mix<N>& mix, int n, N x, N y, N ux, N uy, N length, N w2);
+    const void* frames;
     const Pyramid<N>& pyramid;
-    typename AnyLevel<N>::Spots averages;
+    const Mix<N>& mix;
+    Spots of_samples, of_averages;
     int count = pyramid.levels;
-    template <class Use>
-    INLINE Pixel<N> in(int k, Use use) const {
-        return use(k == 0 ? samples : AnyLevel<N>{&pyramid.level[k - 1], samples.mix, averages});
+
+    INLINE Pixel<N> spots(int k, int n, N x, N y, N ux, N uy, N length, N w2) const {
+        return k == 0 ? of_samples(frames, mix, n, x, y, ux, uy, length, w2)
+                      : of_averages(&pyramid.level[k - 1], mix, n, x, y, ux, uy, length, w2);
     }
 };
-template <int C, bool SEVERAL, class N, class T>
-INLINE Levels<N> levels_in(const Frames<T>& frames, const Pyramid<N>& pyramid, const Mix<N>& mix) {
-    return {{&frames, mix, spots_of<N, C, SEVERAL, T>}, pyramid, spots_of < N, C == 1 ? 1 : 4, SEVERAL, N > };
-}
 
 }  // namespace supple

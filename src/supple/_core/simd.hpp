@@ -77,6 +77,7 @@ INLINE bool without(bool a, bool b) { return a && !b; }
 INLINE double lane(double x, int) { return x; }
 INLINE bool lane(bool x, int) { return x; }
 INLINE void set_lane(double& x, int, double v) { x = v; }
+INLINE void set_lane(bool& x, int, bool v) { x = v; }
 
 template <class V>
 struct Masked;
@@ -87,9 +88,7 @@ struct Masked<double> {
 };
 
 #if !defined(__CUDACC_RTC__)
-#if defined(__AVX512F__)
-constexpr int LANES = 8;
-#elif defined(__AVX__)
+#if defined(__AVX__)
 constexpr int LANES = 4;
 #else
 constexpr int LANES = 2;
@@ -98,9 +97,7 @@ typedef double Lanes __attribute__((vector_size(8 * LANES)));
 typedef int64_t Mask __attribute__((vector_size(8 * LANES)));
 
 INLINE Lanes root(Lanes x) {
-#if defined(__AVX512F__)
-    return (Lanes)_mm512_sqrt_pd((__m512d)x);
-#elif defined(__AVX__)
+#if defined(__AVX__)
     return (Lanes)_mm256_sqrt_pd((__m256d)x);
 #elif defined(__SSE2__)
     return (Lanes)_mm_sqrt_pd((__m128d)x);
@@ -131,6 +128,7 @@ INLINE Lanes loaded(const double* from) {
 INLINE double lane(Lanes x, int i) { return x[i]; }
 INLINE bool lane(Mask x, int i) { return x[i] != 0; }
 INLINE void set_lane(Lanes& x, int l, double v) { x[l] = v; }
+INLINE void set_lane(Mask& x, int l, bool v) { x[l] = -(int64_t)v; }
 template <class V>
 INLINE V inverse_root(V x) {
     return 1.0 / root(x);

@@ -12,6 +12,22 @@
 
 namespace supple {
 
+// Call f(T()), T the type of samples.
+template <class F>
+void with_type(int type, F f) {
+    switch (type) {
+        case U8: return f(uint8_t());
+        case U16: return f(uint16_t());
+        case I16: return f(int16_t());
+        case F32: return f(float());
+        case F64: return f(double());
+        case I8: return f(int8_t());
+        case I32: return f(int32_t());
+        case U32: return f(uint32_t());
+        case I64: return f(int64_t());
+        default: return f(uint64_t());
+    }
+}
 inline int bytes_of(int type) {
     static const int bytes[] = {1, 2, 2, 4, 8, 1, 4, 4, 8, 8};
     return bytes[type];
@@ -79,8 +95,7 @@ inline Span frames_of(const Job& job, double low, double high, double rate) {
     return {(int)floor(low - slack - width - support), (int)ceil(high + slack + width + support)};
 }
 
-// ---- numbers
-// ------------------------------------------------------------------------------------------------------------
+// ---- numbers --------------------------------------------------------------------------------------------------------
 
 // Samples as numbers, in groups of LANES_ channels: colours weighted by opacity, which comes last; linear light.
 template <class N>
@@ -103,10 +118,6 @@ struct Numbers {
     void store(const N* from, int n, int group, char* p) const;  // four numbers a pixel
     // The fill value as such numbers.
     void constant(int group, double* out) const;
-    template <class T>
-    static T limit_of(double high) {
-        return high >= (double)std::numeric_limits<T>::max() ? std::numeric_limits<T>::max() : (T)high;
-    }
 
 private:
     template <class T>
@@ -119,12 +130,12 @@ private:
 
 // Write pixels of a row, which ends at `end`, in a type of the kernels: rounded to the nearest, and clamped to the
 // type. If there is room, lanes beyond the C-th are overwritten by the next pixel. Or keep them as numbers.
-template <int C, class T>
+template <class N, class T, int C>
 struct Putting {
     T* out;  // of pixel 0
     int end;
-    float high;             // the largest value
-    Pixel<float>* numbers;  // or null
+    float high;         // the largest value
+    Pixel<N>* numbers;  // or null
 #if defined(__SSE4_1__)
     // No sum of weighted 16-bit samples overflows 32 bits.
     static INLINE __m128i narrowed(__m128i a, __m128i b) {
@@ -132,11 +143,13 @@ struct Putting {
         return sizeof(T) == 1 ? _mm_packus_epi16(s, s) : s;
     }
 #endif
-    INLINE void operator()(int k, Pixel<float> v) const {
-        if (numbers) {
+    INLINE void operator()(int k, Pixel<N> v) const {
+        if (numbers)
             numbers[k] = v;
-            return;
-        }
+        else if constexpr (sizeof(N) == sizeof(float))
+            write(k, v);
+    }
+    INLINE void write(int k, Pixel<float> v) const {
         T* p = out + k * C;
         const bool room = C == 4 || k + 4 / C < end;
         if constexpr (sizeof(T) == 4) {
@@ -194,8 +207,7 @@ struct Putting {
 #endif
 };
 
-// ---- pyramids
-// -----------------------------------------------------------------------------------------------------------
+// ---- pyramids -------------------------------------------------------------------------------------------------------
 
 // The levels that a map needs, by its largest squared footprint (`Plan::widest`).
 int levels_of(const Job& job, double widest);
@@ -219,8 +231,7 @@ struct Averages {
     Averages(const Job& job, const Numbers<N>& numbers, int group, Span span, double widest);
 };
 
-// ---- a plane
-// --------------------------------------------------------------------------------------------------------------
+// ---- a plane --------------------------------------------------------------------------------------------------------
 
 // The mixture of frames at the samples of a row. The constant beyond a clip's ends only has a weight.
 template <class N, int D>
@@ -260,23 +271,19 @@ struct Mixing {
             return any(k);
     }
     NOINLINE Mix<N> any(int k) const {
-        if constexpr (D == 2)
-            return {0, 1, weight, 0};
-        else {
-            double t = row.whole[2][k] + (double)row.part[2][k], width = job.average ? covered(row.depth2[k]) : 0;
-            if (job.rule != REFLECT) t = std::clamp(t, -3.0 - LONGEST / 2, job.count + 2.0 + LONGEST / 2);
-            int first, n = time_weights(job.between, t, width, first, weight);
-            first -= span.first;
-            if (first < 0 || first + n > span.last - span.first + 1) {  // rounding at the ends of a span
-                first = std::clamp(first, 0, std::max(span.last - span.first + 1 - n, 0));
-                n = std::min(n, span.last - span.first + 1);
-            }
-            N constant = 0;
-            const N* w = weight;
-            while (n > 0 && !frames[first]) constant += *w++, first++, n--;
-            while (n > 0 && !frames[first + n - 1]) constant += w[--n];
-            return {first, n, w, constant};
+        double t = row.whole[2][k] + (double)row.part[2][k], width = job.average ? covered(row.depth2[k]) : 0;
+        if (job.rule != REFLECT) t = std::clamp(t, -3.0 - LONGEST / 2, job.count + 2.0 + LONGEST / 2);
+        int first, n = time_weights(job.between, t, width, first, weight);
+        first -= span.first;
+        if (first < 0 || first + n > span.last - span.first + 1) {  // rounding at the ends of a span
+            first = std::clamp(first, 0, std::max(span.last - span.first + 1 - n, 0));
+            n = std::min(n, span.last - span.first + 1);
         }
+        N constant = 0;
+        const N* w = weight;
+        while (n > 0 && !frames[first]) constant += *w++, first++, n--;
+        while (n > 0 && !frames[first + n - 1]) constant += w[--n];
+        return {first, n, w, constant};
     }
 #if defined(__AVX2__)
     // Of n samples from k on. False if they need too many frames.
@@ -371,30 +378,16 @@ inline const char* own_frame(const Plan<D>& plan, const Job& job) {
 
 template <int D>
 void sample_nearest(const Plan<D>& plan, const Job& job) {
-    ptrdiff_t size = job.pixel_bytes();
-    std::vector<char> fill(size);
-    const Job filling = job;
-    Numbers<double> numbers(filling);
-    for (int c = 0; c < job.channels; c++) {  // in the type of the samples
-        double v = job.fill[c];
-        char* p = fill.data() + c * bytes_of(job.type);
-        auto put = [&](auto kind) {
-            kind = std::numeric_limits<decltype(kind)>::is_integer ? numbers.limit_of<decltype(kind)>(floor(v + 0.5))
-                                                                   : (decltype(kind))v;
-            memcpy(p, &kind, sizeof kind);
-        };
-        switch (job.type) {
-            case U8: put(uint8_t()); break;
-            case U16: put(uint16_t()); break;
-            case I16: put(int16_t()); break;
-            case F32: put(float()); break;
-            case F64: put(double()); break;
-            case I8: put(int8_t()); break;
-            case I32: put(int32_t()); break;
-            case U32: put(uint32_t()); break;
-            case I64: put(int64_t()); break;
-            default: put(uint64_t());
-        }
+    const ptrdiff_t size = job.pixel_bytes();
+    std::vector<char> fill(size);  // in the type of the samples
+    Job plain = job;
+    plain.alpha = -1;
+    plain.light = false;
+    const Numbers<double> numbers(plain);
+    for (int group = 0; group < numbers.groups(); group++) {
+        double values[4];
+        numbers.constant(group, values);
+        numbers.store(values, 1, group, fill.data());
     }
     parallel(plan.roots_down(), [&](int j, int) {
         plan.each_row(job.grid, j, job.box, Slopes::NONE, [&](const Row<D>& row, int x, int y, int n, int at) {
@@ -440,59 +433,58 @@ protected:
     ~Sampler() = default;
 };
 
-// The same along the motion between frames, as numbers.
-template <class N>
-void follow(const Followed& followed, const Sampler<N, 3>& sample, int filter, const Row<3>& row, Prints& prints,
-            N* weight, int at, int n, Pixel<N>* numbers) {
-    Pixel<N> own[STRIDE];
-    std::fill(numbers + at, numbers + at + n, Pixel<N>{});
-    bool found = false;
-    for (int i = 0; i < 3; i++) {
-        const float* share = followed.share[i];
-        if (std::all_of(share + at, share + at + n, [](float s) { return s == 0; })) continue;
-        const Row<3>& seen = i < 2 ? followed.row[i] : row;
-        if (!found || prints.any) prints.find(seen, filter);  // of the same footprints
-        found = true;
-        sample(seen, prints, weight, at, n, nullptr, own);
-        for (int k = at; k < at + n; k++)
-            if (share[k] != 0) numbers[k] += (N)share[k] * own[k];
-    }
-}
-
-// From frames of the kernels' types.
-template <class T, int C, int D>
-struct Direct final : Sampler<float, D> {
+// From frames of a type, whose pyramid has numbers.
+template <class N, class T, int C, int D>
+struct Reader final : Sampler<N, D> {
     const Job& job;
-    Span span;
-    std::vector<const T*> at;
-    Frames<T> frames;
-    float high;
-    const Pyramid<float>& pyramid;
+    const Span span;
+    const Frames<T> frames;
+    const Pyramid<N>& pyramid;
+    const float high = (float)std::min((double)std::numeric_limits<T>::max(), job.white);
 
-    Direct(const Job& job, Span span, const Pyramid<float>& pyramid)
-        : job(job),
-          span(span),
-          high((float)std::min((double)std::numeric_limits<T>::max(), job.white)),
-          pyramid(pyramid) {
-        for (int k = span.first; k <= span.last; k++) at.push_back((const T*)job.frame(k));
-        frames = {at.data(), job.w, job.h, job.row() * C, (ptrdiff_t)job.w * job.h * C, job.rule, job.fill};
+    Reader(const Job& job, Span span, const Frames<T>& frames, const Pyramid<N>& pyramid)
+        : job(job), span(span), frames(frames), pyramid(pyramid) {}
+    void operator()(const Row<D>& row, const Prints& prints, N* weight, int at, int n, void* to,
+                    Pixel<N>* numbers) const override {
+        Mixing<N, D> mixing(job, span, row, weight, (const void* const*)frames.at);
+        const Putting<N, T, C> put{(T*)to - at * C, at + n, high, numbers};
+        sample_row<N, C, D == 3>(frames, pyramid, job.filter, row, prints, at, at + n, mixing, put);
     }
-    void operator()(const Row<D>& row, const Prints& prints, float* weight, int at, int n, void* to,
-                    Pixel<float>* numbers) const override {
-        Mixing<float, D> mixing(job, span, row, weight, (const void* const*)frames.at);
-        const Putting<C, T> put{(T*)to - at * C, at + n, high, numbers};
-        sample_row<float, C, D == 3>(frames, pyramid, job.filter, row, prints, at, at + n, mixing, put);
-    }
-    void put(const Pixel<float>* numbers, int at, int n, void* to) const override {
-        const Putting<C, T> put{(T*)to - at * C, at + n, high, nullptr};
+    void put(const Pixel<N>* numbers, int at, int n, void* to) const override {
+        const Putting<N, T, C> put{(T*)to - at * C, at + n, high, nullptr};
         for (int k = at; k < at + n; k++) put(k, numbers[k]);
     }
 };
 
-// Whether any sample of a row follows the motion between frames.
-template <int D>
-INLINE bool moves(const Job& job, Followed& followed, const Row<D>& row) {
-    if constexpr (D == 3) return job.motion.capacity && followed.find(job, row);
+// What a thread computes of a row.
+template <class N>
+struct Scratch {
+    Prints prints;
+    Followed followed;
+    N weight[(int)LONGEST + 8] = {1};
+    Pixel<N> numbers[STRIDE];
+};
+
+// Sample n points of a row along the motion between frames, as numbers; false if none follows it.
+template <class N, int D>
+bool follow(const Job& job, const Sampler<N, D>& sample, const Row<D>& row, Scratch<N>& s, int at, int n) {
+    if constexpr (D == 3) {
+        if (!job.motion.capacity || !s.followed.find(job, row)) return false;
+        Pixel<N> own[STRIDE];
+        std::fill(s.numbers + at, s.numbers + at + n, Pixel<N>{});
+        bool found = false;
+        for (int i = 0; i < 3; i++) {
+            const float* share = s.followed.share[i];
+            if (std::all_of(share + at, share + at + n, [](float s) { return s == 0; })) continue;
+            const Row<3>& seen = i < 2 ? s.followed.row[i] : row;
+            if (!found || s.prints.any) s.prints.find(seen, job.filter);  // of the same footprints
+            found = true;
+            sample(seen, s.prints, s.weight, at, n, nullptr, own);
+            for (int k = at; k < at + n; k++)
+                if (share[k] != 0) s.numbers[k] += (N)share[k] * own[k];
+        }
+        return true;
+    }
     return false;
 }
 
@@ -500,55 +492,20 @@ INLINE bool moves(const Job& job, Followed& followed, const Row<D>& row) {
 template <int D>
 void sample_direct(const Plan<D>& plan, const Job& job, const Sampler<float, D>& sample) {
     parallel(plan.roots_down(), [&](int j, int) {
-        Prints prints;
-        float weight[(int)LONGEST + 8] = {1};
-        Followed followed;
-        Pixel<float> numbers[STRIDE];
+        Scratch<float> s;
         plan.each_row(job.grid, j, job.box, slopes_of(job), [&](const Row<D>& row, int x, int y, int n, int at) {
             const char* own = own_frame(plan, job);
             if (row.idle) return copy_same(job, own, x, y, n, nullptr);
-            if (moves<D>(job, followed, row)) {
-                if constexpr (D == 3) follow(followed, sample, job.filter, row, prints, weight, at, n, numbers);
-                sample.put(numbers, at, n, job.target(x, y));
-            } else {
-                prints.find(row, job.filter);
-                sample(row, prints, weight, at, n, job.target(x, y), nullptr);
+            if (follow(job, sample, row, s, at, n))
+                sample.put(s.numbers, at, n, job.target(x, y));
+            else {
+                s.prints.find(row, job.filter);
+                sample(row, s.prints, s.weight, at, n, job.target(x, y), nullptr);
             }
             if (row.some_same) copy_same(job, own, x, y, n, row.same + at);
         });
     });
 }
-
-// Keep pixels of a row, as numbers.
-template <class N, int C>
-struct Keeping {
-    Pixel<N>* values;
-    INLINE void operator()(int k, Pixel<N> v) const { values[k] = v; }
-#if defined(__AVX2__)
-    INLINE void operator()(int k, int from, int to, const Eight* v) const {
-        for (int i = from; i < to; i++)
-            for (int c = 0; c < C; c++) values[i][c] = v[c][i - k];
-    }
-#endif
-};
-
-// From numbers, which are kept as such.
-template <class N, int C, int D>
-struct Converted final : Sampler<N, D> {
-    const Job& job;
-    Span span;
-    Frames<N> frames;
-    Pyramid<N> pyramid;
-
-    Converted(const Job& job, Span span, const Frames<N>& frames, const Pyramid<N>& pyramid)
-        : job(job), span(span), frames(frames), pyramid(pyramid) {}
-    void operator()(const Row<D>& row, const Prints& prints, N* weight, int at, int n, void*,
-                    Pixel<N>* numbers) const override {
-        Mixing<N, D> mixing(job, span, row, weight, (const void* const*)frames.at);
-        const Keeping<N, C> put{numbers};
-        sample_row<N, C, D == 3>(frames, pyramid, job.filter, row, prints, at, at + n, mixing, put);
-    }
-};
 
 // Sample frames of any type, converted to numbers, root by root.
 template <class N, int D>
@@ -560,10 +517,7 @@ void sample_converted(const Plan<D>& plan, const Job& job) {
         numbers.constant(group, fill);
         Averages<N> averages(job, numbers, group, whole, plan.widest);
         parallel(plan.roots_down(), [&](int j, int) {
-            Prints prints;
-            Pixel<N> values[STRIDE];
-            N weight[(int)LONGEST + 8] = {1};
-            Followed followed;
+            Scratch<N> s;
             std::vector<N> tile;
             std::vector<const N*> frames(whole.last - whole.first + 1);
             for (int i = 0; i < plan.roots_across(); i++) {
@@ -602,18 +556,15 @@ void sample_converted(const Plan<D>& plan, const Job& job) {
                 const Frames<N> held{frames.data(), job.w, job.h, line, std::numeric_limits<ptrdiff_t>::max(),
                                      job.rule,      fill};
                 const Pyramid<N> pyramid = averages.from(span.first);
-                const Converted<N, 1, D> one(job, span, held, pyramid);
-                const Converted<N, 4, D> four(job, span, held, pyramid);
+                const Reader<N, N, 1, D> one(job, span, held, pyramid);
+                const Reader<N, N, 4, D> four(job, span, held, pyramid);
                 const Sampler<N, D>& sample = numbers.lanes == 1 ? (const Sampler<N, D>&)one : four;
                 plan.each_row(job.grid, j, wanted, slopes_of(job), [&](const Row<D>& row, int x, int y, int n, int at) {
-                    const bool moved = moves<D>(job, followed, row);
-                    if constexpr (D == 3)
-                        if (moved) follow(followed, sample, job.filter, row, prints, weight, at, n, values);
-                    if (!moved) {
-                        prints.find(row, job.filter);
-                        sample(row, prints, weight, at, n, nullptr, values);
+                    if (!follow(job, sample, row, s, at, n)) {
+                        s.prints.find(row, job.filter);
+                        sample(row, s.prints, s.weight, at, n, nullptr, s.numbers);
                     }
-                    numbers.store((const N*)(values + at), n, group, job.target(x, y));
+                    numbers.store((const N*)(s.numbers + at), n, group, job.target(x, y));
                     if (row.some_same) copy_same(job, own_frame(plan, job), x, y, n, row.same + at);
                 });
             }
@@ -680,16 +631,13 @@ Portion needed(const Plan<D>& plan, const Job& job) {
             int wanted[4];
             plan.columns_of(job.grid, i, wanted[0], wanted[1]);
             plan.rows_of(job.grid, j, wanted[2], wanted[3]);
-            bool some = true;
-            for (int d = 0; d < 2; d++)
-                some =
-                    some && std::max(wanted[2 * d], job.box[2 * d]) < std::min(wanted[2 * d + 1], job.box[2 * d + 1]);
-            if (!some) continue;
+            for (int d = 0; d < 4; d += 2) {
+                wanted[d] = std::max(wanted[d], job.box[d]);
+                wanted[d + 1] = std::min(wanted[d + 1], job.box[d + 1]);
+            }
+            if (wanted[0] >= wanted[1] || wanted[2] >= wanted[3]) continue;
             if (plan.is_still(j * plan.roots_across() + i)) {  // copied
-                for (int d = 0; d < 4; d += 2) {
-                    part.box[d] = std::max(wanted[d], job.box[d]);
-                    part.box[d + 1] = std::min(wanted[d + 1], job.box[d + 1]);
-                }
+                std::copy(wanted, wanted + 4, part.box);
             } else {
                 seen(job, plan.extent(j * plan.roots_across() + i), levels, part.box);
                 for (int d = 0; d < 2; d++) {  // samples of the pyramid are whole
@@ -715,7 +663,13 @@ Portion needed(const Plan<D>& plan, const Job& job) {
 // Sample frames of a type in place.
 template <class T, int D>
 void sample_as(const Plan<D>& plan, const Job& job, Span span, const Pyramid<float>& pyramid) {
-    auto of = [&]<int C>() { sample_direct(plan, job, Direct<T, C, D>(job, span, pyramid)); };
+    std::vector<const T*> at;
+    for (int k = span.first; k <= span.last; k++) at.push_back((const T*)job.frame(k));
+    auto of = [&]<int C>() {
+        const Frames<T> frames{at.data(), job.w,   job.h, job.row() * C, (ptrdiff_t)job.w * job.h * C,
+                               job.rule,  job.fill};
+        sample_direct(plan, job, Reader<float, T, C, D>(job, span, frames, pyramid));
+    };
     if constexpr (std::is_same_v<T, int16_t>)
         of.template operator()<1>();
     else

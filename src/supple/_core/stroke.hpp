@@ -65,6 +65,14 @@ struct Axis {
     double extent() const { return last - first; }
 };
 
+// The least spacing of D axes.
+template <int D>
+INLINE double finest_of(const Axis* axes) {
+    double finest = axes[0].spacing;
+    for (int d = 1; d < D; d++) finest = least(finest, axes[d].spacing);
+    return finest;
+}
+
 // The nearest coordinate in the domain, along an axis with a fixed border.
 template <class V>
 INLINE V nearest(V x, const Axis& a) {
@@ -217,6 +225,18 @@ struct Jet {
     V mixed[MIXED ? D : 1];
     V smooth2[MIXED ? 2 : 1];
 };
+
+// The jet at x with the columns of I as tangents.
+template <int D, int TANGENTS, bool MIXED = false, class V>
+INLINE Jet<D, TANGENTS, MIXED, V> jet_at(const V* x) {
+    Jet<D, TANGENTS, MIXED, V> jet{};
+    for (int i = 0; i < D; i++) {
+        jet.x[i] = x[i];
+        if constexpr (TANGENTS > 0) jet.t[i][i] = splat<V>(1.0);
+    }
+    if constexpr (MIXED) jet.smooth2[0] = jet.smooth2[1] = splat<V>(1e300);
+    return jet;
+}
 
 // A stroke's part of a jet without mask and border: K, J u of the tangents u, and J n + K''(u₀, u₁).
 template <int D, int TANGENTS, bool MIXED, class V>
@@ -397,65 +417,52 @@ ONCE void add(const Stroke& k, const Axis* axes, const Jet<D, TANGENTS, MIXED, V
         if constexpr (MIXED) part.second[2] *= back;
     }
     V(&K)[D] = part.K;
+    V(&Ju)[N][D] = part.J;
     Freed<D, ORDER, V> free{};
-    if (k.freeze) free = freed<D, ORDER, V>(*k.freeze, place);
-
-    if constexpr (TANGENTS > 0) {
-        V(&Ju)[N][D] = part.J;
+    if (k.freeze) {
+        free = freed<D, ORDER, V>(*k.freeze, place);
+        V turn[N];  // ∇m·u
+        for (int j = 0; j < TANGENTS; j++) turn[j] = dot<D>(free.slope, u[j]);
         if constexpr (MIXED) {
-            V turn[2], way{};  // of m: ∇m·u, and ∇m·n + u₀ᵀ ∇∇m u₁
-            if (k.freeze) {
-                for (int j = 0; j < 2; j++) turn[j] = dot<D>(free.slope, u[j]);
-                way = dot<D>(free.slope, n);
-                for (int i = 0; i < D; i++) way += u[0][i] * dot<D>(free.bend[i], u[1]);
-            }
-            for (int i = 0; i < D; i++) {
-                V second = part.second[i], J0 = Ju[0][i], J1 = Ju[1][i], moved = K[i];
-                if (k.freeze) {
-                    second = free.m * second + turn[0] * J1 + turn[1] * J0 + way * moved;
-                    J0 = free.m * J0 + turn[0] * moved;
-                    J1 = free.m * J1 + turn[1] * moved;
-                    moved *= free.m;
-                }
-                jet.mixed[i] += beta[i][0] * second + beta[i][1] * (u[0][i] * J1 + u[1][i] * J0 + n[i] * moved) +
-                                beta[i][2] * u[0][i] * u[1][i] * moved;
-            }
-            for (int j = 0; j < 2; j++) {
-                V along[D];
-                for (int i = 0; i < D; i++) along[i] = i < 2 ? at.t[j][i] : V(k.stretch * at.t[j][i]);
-                V scale2 = round2 / dot<D>(along, along);
-                if (k.freeze) {
-                    V cells = splat<V>(1e-300);  // for each step of q, along axes along which m varies
-                    for (int i = 0; i < D; i++)
-                        if (k.freeze->size[i] > 1) {
-                            const V part = k.freeze->per_step[i] * at.t[j][i];
-                            cells += part * part;
-                        }
-                    scale2 = least(scale2, V(free.smooth * free.smooth / cells));
-                }
-                for (int i = 0; i < D; i++)
-                    if (axes[i].sigma > 0 && !k.inner) {
-                        // β varies along its own axis alone: over σ at a face, and it is constant farther in.
-                        V scale = 2.0 * most(depth(at.x[i], axes[i]), splat<V>(axes[i].sigma)), along = at.t[j][i];
-                        scale2 = least(scale2, V(scale * scale / most(V(along * along), splat<V>(1e-300))));
-                    }
-                jet.smooth2[j] = least(jet.smooth2[j], scale2);
-            }
-            for (int j = 0; j < 2 && k.turns(); j++)  // and a radian of a twist
-                jet.smooth2[j] = least(jet.smooth2[j], V(1.0 / most(steep2[j], splat<V>(1e-300))));
+            V way = dot<D>(free.slope, n);  // ∇m·n + u₀ᵀ ∇∇m u₁
+            for (int i = 0; i < D; i++) way += u[0][i] * dot<D>(free.bend[i], u[1]);
+            for (int i = 0; i < D; i++)
+                part.second[i] = free.m * part.second[i] + turn[0] * Ju[1][i] + turn[1] * Ju[0][i] + way * K[i];
         }
-        if (k.freeze)
-            for (int j = 0; j < TANGENTS; j++) {
-                V turn = dot<D>(free.slope, u[j]);
-                for (int i = 0; i < D; i++) Ju[j][i] = free.m * Ju[j][i] + turn * K[i];
-            }
-        if (k.freeze)
-            for (int i = 0; i < D; i++) K[i] *= free.m;
         for (int j = 0; j < TANGENTS; j++)
-            for (int i = 0; i < D; i++) jet.t[j][i] += beta[i][0] * Ju[j][i] + beta[i][1] * u[j][i] * K[i];
-    }
-    if (k.freeze && TANGENTS == 0)
+            for (int i = 0; i < D; i++) Ju[j][i] = free.m * Ju[j][i] + turn[j] * K[i];
         for (int i = 0; i < D; i++) K[i] *= free.m;
+    }
+    if constexpr (MIXED) {
+        for (int i = 0; i < D; i++)
+            jet.mixed[i] += beta[i][0] * part.second[i] +
+                            beta[i][1] * (u[0][i] * Ju[1][i] + u[1][i] * Ju[0][i] + n[i] * K[i]) +
+                            beta[i][2] * u[0][i] * u[1][i] * K[i];
+        for (int j = 0; j < 2; j++) {
+            V along[D];
+            for (int i = 0; i < D; i++) along[i] = i < 2 ? at.t[j][i] : V(k.stretch * at.t[j][i]);
+            V scale2 = round2 / dot<D>(along, along);
+            if (k.freeze) {
+                V cells = splat<V>(1e-300);  // for each step of q, along axes along which m varies
+                for (int i = 0; i < D; i++)
+                    if (k.freeze->size[i] > 1) {
+                        const V part = k.freeze->per_step[i] * at.t[j][i];
+                        cells += part * part;
+                    }
+                scale2 = least(scale2, V(free.smooth * free.smooth / cells));
+            }
+            for (int i = 0; i < D; i++)
+                if (axes[i].sigma > 0 && !k.inner) {
+                    // β varies along its own axis alone: over σ at a face, and it is constant farther in.
+                    V scale = 2.0 * most(depth(at.x[i], axes[i]), splat<V>(axes[i].sigma)), along = at.t[j][i];
+                    scale2 = least(scale2, V(scale * scale / most(V(along * along), splat<V>(1e-300))));
+                }
+            if (k.turns()) scale2 = least(scale2, V(1.0 / most(steep2[j], splat<V>(1e-300))));  // a radian of a twist
+            jet.smooth2[j] = least(jet.smooth2[j], scale2);
+        }
+    }
+    for (int j = 0; j < TANGENTS; j++)
+        for (int i = 0; i < D; i++) jet.t[j][i] += beta[i][0] * Ju[j][i] + beta[i][1] * u[j][i] * K[i];
     for (int i = 0; i < D; i++) jet.x[i] += beta[i][0] * K[i];
 }
 
@@ -486,6 +493,13 @@ INLINE V times(const V (*t)[D], const V* x, int i) {
     V s = t[0][i] * x[0];
     for (int j = 1; j < D; j++) s += t[j][i] * x[j];
     return s;
+}
+// x ← that matrix times x.
+template <int D, class V>
+INLINE void transform(const V (*t)[D], V* x) {
+    V y[D];
+    for (int i = 0; i < D; i++) y[i] = times<D>(t, x, i);
+    for (int i = 0; i < D; i++) x[i] = y[i];
 }
 
 }  // namespace supple

@@ -7,7 +7,7 @@
 #include <vector>
 
 #include "frozen.hpp"
-#include "stroke.hpp"
+#include "newton.hpp"
 
 namespace supple {
 
@@ -102,13 +102,22 @@ inline bool is_whole(const Stroke& k) { return k.turns() && k.inner && !k.freeze
 // The mask that a stroke is subject to, which has one.
 inline const Frozen& mask_of(const Stroke& k) { return *static_cast<const Frozen*>(k.freeze); }
 
-// Read `count` rows of STROKE_NUMBERS, and derive the rest; the mask has to live as long as they do. If it stands for
-// several, each row has the number of its own.
-inline std::vector<Stroke> load_strokes(const double* rows, size_t count, const Axis* axes,
-                                        const Frozen* freeze = nullptr) {
-    std::vector<Stroke> strokes(count);
+// The strokes of a table, in order, and their axes.
+struct Strokes {
+    Axes axes;
+    std::vector<Stroke> table;
+    std::vector<int> list;  // all of them
+
+    // Read `count` rows of STROKE_NUMBERS, and derive the rest; the mask has to live as long as they do. If it stands
+    // for several, each row has the number of its own.
+    Strokes(const double* rows, size_t count, const Axes& axes, const Frozen* freeze = nullptr);
+    Chain chain() const { return {table.data(), list.data(), (int)list.size()}; }
+};
+inline Strokes::Strokes(const double* rows, size_t count, const Axes& axes, const Frozen* freeze)
+    : axes(axes), table(count), list(count) {
+    for (size_t i = 0; i < count; i++) list[i] = (int)i;
     int64_t group = 0;
-    for (Stroke& k : strokes) {
+    for (Stroke& k : table) {
         double* parts[] = {k.pivot, k.force, k.matrix[0], k.matrix[1], k.matrix[2], k.radius2, k.p, k.q, k.r};
         for (double* part : parts)
             for (int i = 0; i < 3; i++) part[i] = *rows++;
@@ -126,13 +135,12 @@ inline std::vector<Stroke> load_strokes(const double* rows, size_t count, const 
         memcpy(&mask, rows++, sizeof mask);
         k.per_reach = std::isfinite(k.reach) ? 1.0 / (k.flat > 0 ? eased(k, k.reach) : k.reach) : 0.0;
         k.rim = cbrt(0.25 * k.radius2[0] * k.flat);
-        k.inner = is_inner(k, axes);
+        k.inner = is_inner(k, axes.data());
         const Frozen* own = freeze && !freeze->masks.empty() ? freeze->masks.at(mask) : freeze;
         k.freeze = is_free(k, own) ? nullptr : own;
         k.shared = joined != 0;
-        if (joined && &k != strokes.data()) (&k - 1)->shared = true;
+        if (joined && &k != table.data()) (&k - 1)->shared = true;
     }
-    return strokes;
 }
 
 }  // namespace supple

@@ -4,9 +4,7 @@
 
 namespace supple {
 
-#if defined(__AVX512F__)
-constexpr int REGISTER = 64;
-#elif defined(__AVX__)
+#if defined(__AVX__)
 constexpr int REGISTER = 32;
 #else
 constexpr int REGISTER = 16;
@@ -83,84 +81,60 @@ INLINE Pixel<N> part(V v) {
 
 // L consecutive samples as numbers.
 template <class N, int L, class T>
-struct Loader {
-    static INLINE Pack<N, L> at(const T* p) {
-        if constexpr (sizeof(N) * L > REGISTER)
-            return {Loader<N, L / 2, T>::at(p), Loader<N, L / 2, T>::at(p + L / 2)};
-        else if constexpr (sizeof(T) == sizeof(N)) {
-            Pack<N, L> r;
-            memcpy(&r, p, sizeof r);
-            return r;
-        } else {
-#if defined(__AVX512F__)
-            if constexpr (L == 16) {
-                if constexpr (sizeof(T) == 1)
-                    return (Pack<N, L>)_mm512_cvtepi32_ps(_mm512_cvtepu8_epi32(_mm_loadu_si128((const __m128i*)p)));
-                else if constexpr (T(-1) > T(0))
-                    return (Pack<N, L>)_mm512_cvtepi32_ps(_mm512_cvtepu16_epi32(_mm256_loadu_si256((const __m256i*)p)));
-                else
-                    return (Pack<N, L>)_mm512_cvtepi32_ps(_mm512_cvtepi16_epi32(_mm256_loadu_si256((const __m256i*)p)));
-            } else
-#endif
-#if defined(__AVX2__)
-                if constexpr (L == 8) {
-                if constexpr (sizeof(T) == 1)
-                    return (Pack<N, L>)_mm256_cvtepi32_ps(_mm256_cvtepu8_epi32(_mm_loadl_epi64((const __m128i*)p)));
-                else if constexpr (T(-1) > T(0))
-                    return (Pack<N, L>)_mm256_cvtepi32_ps(_mm256_cvtepu16_epi32(_mm_loadu_si128((const __m128i*)p)));
-                else
-                    return (Pack<N, L>)_mm256_cvtepi32_ps(_mm256_cvtepi16_epi32(_mm_loadu_si128((const __m128i*)p)));
-            } else
-#endif
-            {
-#if defined(__SSE4_1__)
-                int32_t word;
-                if constexpr (sizeof(T) == 1) {
-                    memcpy(&word, p, 4);
-                    __m128i x = _mm_cvtsi32_si128(word);
-                    return (Pack<N, L>)_mm_cvtepi32_ps(T(-1) > T(0) ? _mm_cvtepu8_epi32(x) : _mm_cvtepi8_epi32(x));
-                } else if constexpr (T(-1) > T(0))
-                    return (Pack<N, L>)_mm_cvtepi32_ps(_mm_cvtepu16_epi32(_mm_loadl_epi64((const __m128i*)p)));
-                else
-                    return (Pack<N, L>)_mm_cvtepi32_ps(_mm_cvtepi16_epi32(_mm_loadl_epi64((const __m128i*)p)));
-#else
-                Pack<N, L> r;
-                for (int i = 0; i < L; i++) r[i] = (N)p[i];
-                return r;
-#endif
-            }
-        }
-    }
-};
-template <class N, int L, class T>
 INLINE Pack<N, L> load(const T* p) {
-    return Loader<N, L, T>::at(p);
+    [[maybe_unused]] constexpr bool positive = T(-1) > T(0);
+    if constexpr (sizeof(N) * L > REGISTER)
+        return {load<N, L / 2>(p), load<N, L / 2>(p + L / 2)};
+    else if constexpr (sizeof(T) == sizeof(N)) {
+        Pack<N, L> r;
+        memcpy(&r, p, sizeof r);
+        return r;
+    }
+#if defined(__AVX2__)
+    else if constexpr (L == 8 && sizeof(T) == 1)
+        return (Pack<N, L>)_mm256_cvtepi32_ps(_mm256_cvtepu8_epi32(_mm_loadl_epi64((const __m128i*)p)));
+    else if constexpr (L == 8) {
+        const __m128i x = _mm_loadu_si128((const __m128i*)p);
+        return (Pack<N, L>)_mm256_cvtepi32_ps(positive ? _mm256_cvtepu16_epi32(x) : _mm256_cvtepi16_epi32(x));
+    }
+#endif
+#if defined(__SSE4_1__)
+    else if constexpr (sizeof(T) == 1) {
+        int32_t word;
+        memcpy(&word, p, 4);
+        const __m128i x = _mm_cvtsi32_si128(word);
+        return (Pack<N, L>)_mm_cvtepi32_ps(positive ? _mm_cvtepu8_epi32(x) : _mm_cvtepi8_epi32(x));
+    } else {
+        const __m128i x = _mm_loadl_epi64((const __m128i*)p);
+        return (Pack<N, L>)_mm_cvtepi32_ps(positive ? _mm_cvtepu16_epi32(x) : _mm_cvtepi16_epi32(x));
+    }
+#else
+    else {
+        Pack<N, L> r;
+        for (int i = 0; i < L; i++) r[i] = (N)p[i];
+        return r;
+    }
+#endif
 }
 
 // The number of lanes for n numbers.
 constexpr int lanes_for(int n) { return n <= 4 ? 4 : n <= 8 ? 8 : 16; }
 
-// The sums over K pixels of C channels each, which lie one after the other in a pack.
-template <class N, int C, int K, class V>
+// The sums over four pixels of C channels each, which lie one after the other in a pack.
+template <class N, int C, class V>
 INLINE Pixel<N> sum_of(V v) {
     Pixel<N> a = part<N, 0>(v);
-    if constexpr (C == 4) {
-        Pixel<N> s = a + part<N, 1>(v);
-        if constexpr (K == 4) s += part<N, 2>(v) + part<N, 3>(v);
-        return s;
-    } else if constexpr (C == 3) {
-        Pixel<N> b = part<N, 1>(v), s = a + straddle<N, 3>(a, b);
-        if constexpr (K == 4) {
-            Pixel<N> c = part<N, 2>(v);
-            s += straddle<N, 2>(b, c) + straddle<N, 1>(c, c);
-        }
-        return s;
-    } else if constexpr (C == 2) {
-        if constexpr (K == 4) a += part<N, 1>(v);
-        return a + straddle<N, 2>(a, a);
+    if constexpr (C == 4)
+        return a + part<N, 1>(v) + (part<N, 2>(v) + part<N, 3>(v));
+    else if constexpr (C == 3) {
+        Pixel<N> b = part<N, 1>(v), c = part<N, 2>(v);
+        return a + straddle<N, 3>(a, b) + (straddle<N, 2>(b, c) + straddle<N, 1>(c, c));
     } else {
-        if constexpr (K == 4) a += straddle<N, 2>(a, a);
-        return a + straddle<N, 1>(a, a);
+        if constexpr (C == 2)
+            a += part<N, 1>(v);
+        else
+            a += straddle<N, 2>(a, a);
+        return a + straddle<N, C>(a, a);
     }
 }
 

@@ -8,26 +8,6 @@ namespace supple::cuda {
 constexpr float ROUNDING = 1.2e-7f;    // of float32, relative
 constexpr double CLOSE_ENOUGH = 0.01;  // of the tolerance: the last step of a pixel that is solved
 
-// Solve for T⁻¹ at a point of a composite, with its derivatives.
-template <int D, bool MIXED>
-INLINE Passed<double> backwards(const Map& map, const double* q, Solved<D, double>& found) {
-    Jet<D, D, MIXED, double> jet{};
-    for (int d = 0; d < D; d++) {
-        jet.x[d] = q[d];
-        jet.t[d][d] = 1;
-    }
-    if constexpr (MIXED) jet.smooth2[0] = jet.smooth2[1] = 1e300;
-    const Passed<double> passed = pass<D>(*map.composite, true, jet);
-    for (int d = 0; d < D; d++) {
-        found.at.p[d] = jet.x[d];
-        if constexpr (MIXED) found.mixed[d] = jet.mixed[d];
-        for (int e = 0; e < D; e++) found.at.m[e][d] = jet.t[e][d];
-    }
-    for (int a = 0; MIXED && a < 2; a++) found.smooth2[a] = jet.smooth2[a];
-    found.at.done = passed.done;
-    return passed;
-}
-
 // The node (k, j) of RUN<D> planes, one after the other: each is guessed from the last one. Runs are those of all
 // planes, so that no bit depends on which of them a launch begins with; what lies before that is solved, and not
 // written.
@@ -46,13 +26,13 @@ INLINE void solve_node(const Job& job) {
         for (int d = 0; d < D; d++) q[d] = at[d] * map.axes[d].spacing;
         if (composed(map)) {
             if (plane < 0 || !map.composite->smooth) continue;  // without, every pixel is solved
-            const Passed<double> passed = backwards<D, true>(map, q, found);
+            const Passed<double> passed = solve_composite<D, true>(*map.composite, q, found);
             found.at.done = passed.done && passed.within && passed.upright;
         } else {
             const bool known = D == 3 && plane > first && found.at.done;
             for (int d = 0; known && d < D; d++) found.at.p[d] += (slope[d] + bent[d] / 2) * map.axes[2].spacing;
-            found = solved<D>(map.chain, map.axes, q, map.finest(D), job.tolerance, known ? Guess::PATCH : Guess::NONE,
-                              found.at);
+            found = solved<D>(map.chain, map.axes, q, finest_of<D>(map.axes), job.tolerance,
+                              known ? Guess::PATCH : Guess::NONE, found.at);
             for (int d = 0; D == 3 && d < D; d++) {
                 const double now = found.at.m[D - 1][d];
                 bent[d] = known ? now - slope[d] : 0;
@@ -218,11 +198,11 @@ NOINLINE void solve_pixel(const Job& job, int plane, int x, int y, Point<D>& poi
     Solved<D, double> solution{};
     Solution<D, double>& found = solution.at;
     if (composed(map)) {
-        const Passed<double> passed = backwards<D, false>(map, q, solution);
+        const Passed<double> passed = solve_composite<D, false>(*map.composite, q, solution);
         if (!passed.upright) atomicAdd(&job.told->folded, 1);
         if (!passed.within) atomicAdd(&job.told->outside, 1);
     } else {
-        const double finest = map.finest(D), close = CLOSE_ENOUGH * least(job.tolerance, 1.0);
+        const double finest = finest_of<D>(map.axes), close = CLOSE_ENOUGH * least(job.tolerance, 1.0);
         for (int d = 0; d < D; d++) found.p[d] = q[d];
         newton<D>(map.chain, map.axes, q, close * finest, 10, found, STEEP * close * finest);
         if (!found.done) undo<D>(map.chain, map.axes, q, close * finest, found);

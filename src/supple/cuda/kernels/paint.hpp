@@ -173,9 +173,9 @@ struct Level {
         }
         return window(x - 1, y - 1, taps);
     }
-    template <class Use>
-    INLINE Sum<N, C> in(int k, Use use) const {
-        return use(Level{group, frame, k});
+    template <class W>
+    INLINE Sum<N, C> spots(int k, int n, W x, W y, W ux, W uy, W length, W w2) const {
+        return supple::spots<Sum<N, C>>(Level{group, frame, k}, n, x, y, ux, uy, length, w2);
     }
 };
 

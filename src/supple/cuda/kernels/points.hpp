@@ -23,17 +23,15 @@ INLINE void move_point(const Some& job) {
     const int64_t i = thread();
     if (i >= job.count) return;
     const Map& map = *job.map;
-    const double finest = map.finest(D);
-    Jet<D, D, false, double> jet{};
+    const double finest = finest_of<D>(map.axes);
     double from[D], q[D], size = 0;
     for (int d = 0; d < D; d++) {
         const int64_t at = i * D + d;
         from[d] = job.wide ? ((const double*)job.from)[at] : (double)((const float*)job.from)[at];
         q[d] = from[d] * map.axes[d].spacing;
         size = most(size, magnitude(q[d]));
-        jet.x[d] = q[d];
-        jet.t[d][d] = 1;
     }
+    auto jet = jet_at<D, D>(q);
     auto sent = [&](bool back, auto& jet) {
         if (composed(map)) return pass<D>(*map.composite, back, jet);
         Passed<double> passed{true, true, true, 0};
@@ -43,8 +41,7 @@ INLINE void move_point(const Some& job) {
     };
     const Passed<double> passed = sent(job.back, jet);
     if (job.residual) {
-        Jet<D, 0, false, double> seen{};
-        for (int d = 0; d < D; d++) seen.x[d] = jet.x[d];
+        auto seen = jet_at<D, 0>(jet.x);
         sent(false, seen);  // what is asked for only of T⁻¹
         double off2 = 0;
         for (int d = 0; d < D; d++) off2 += (seen.x[d] - q[d]) * (seen.x[d] - q[d]);
