@@ -53,10 +53,7 @@ def test_a_picture_bent_by_all_brushes(gpu: Gpu, photo: Path) -> None:
         hand.key(key)
         said[key] = while_dragging(view, hand, ((x, 250), (x + 30, 260)))
     hand.key("f")
-    for place in ((200, 400), (230, 400), (250, 380), (250, 350)):
-        (hand.press if place == (200, 400) else hand.move)(*place, 1)
-        hand.canvas.draw()
-    hand.release(250, 350)
+    hand.draw((200, 400), (230, 400), (250, 380), (250, 350))
     strokes = view.recipe.strokes
     assert [stroke.brush for stroke in strokes] == ["twist", "scale", "scale", "pinch", "grab"]
     assert len(strokes[-1].path) == 2
