@@ -56,6 +56,11 @@ JOBS: dict[str, tuple[str, str, Ends]] = {
         f"{AXIS} [*9 w 204,101>210,101",
         {(212, 101): (212.8, 101), (237, 104): (236.2, 104)},
     ),
+    "all brushes": (
+        "coffee",
+        "t 60,80>90,85 p 160,80>190,85 n 260,80>290,85 s 60,80>90,85 m g 150,330>170,320 m d 210,300>220,310",
+        {(60, 80): (60, 80), (150, 330): (170, 320)},
+    ),
     "half of everything": ("chelsea", f"{BEND} amount=50", {(225, 250): (225, 262.5)}),
 }
 
@@ -95,6 +100,10 @@ def test_a_job_by_hand(
         else:
             for _ in range(int(number or 1)):
                 hand.key(*reversed(key.split("+")))
+    for i in range(len(view.document.strokes)):
+        view.document.select(i)
+        hand.canvas.draw()  # the panel shows each by its numbers
+    assert view._gui.trouble == ""
     bent = supple.Deformation.from_recipe(view.recipe, view.document.shape)
     for place, end in ends.items():
         assert bent.forward(place) == pytest.approx(end, abs=0.2)

@@ -213,6 +213,8 @@ def test_messages_are_in_the_words_of_the_window(gpu: Gpu) -> None:
     view, hand = opened(GREY, Recipe(on_fold="error"))
     hand.key("w")
     hand.press(300, 300)
+    hand.move(310, 300, 1)
+    assert "Bloat by a factor of 1." in status(view)
     hand.move(900, 300, 1)
     said = status(view)
     assert said.startswith("Bloat at (")
