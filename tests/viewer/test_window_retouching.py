@@ -116,19 +116,6 @@ def test_accuracy_is_folded_and_not_in_the_status_line(gpu: Gpu, places: Places)
     assert "px of the map" not in status(view)
 
 
-def test_the_radius_fits_and_is_set_by_a_right_drag(gpu: Gpu) -> None:
-    view, hand = grey()
-    assert view.tools.radius == 300 / 12
-    ring = view.tools.extent[0] * 25 * view.tools.view.zoom
-    hand.drag((300, 300), (300 + ring, 300), button=2)
-    assert view.tools.radius == pytest.approx(50, rel=0.01)
-    hand.key("[")
-    assert view.tools.radius == pytest.approx(50 / 1.1, rel=0.01)
-    hand.wheel(300, 300, -100)
-    assert view.tools.radius == pytest.approx(50, rel=0.01)
-    assert view.document.strokes == ()
-
-
 def test_what_was_opened_is_offered_again(
     gpu: Gpu, photo: Path, tmp_path: Path, places: Places, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -226,6 +213,8 @@ def test_messages_are_in_the_words_of_the_window(gpu: Gpu) -> None:
     view, hand = opened(GREY, Recipe(on_fold="error"))
     hand.key("w")
     hand.press(300, 300)
+    hand.move(310, 300, 1)
+    assert "Bloat by a factor of 1." in status(view)
     hand.move(900, 300, 1)
     said = status(view)
     assert said.startswith("Bloat at (")

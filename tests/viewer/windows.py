@@ -71,7 +71,8 @@ class Hand:
     """A pointer and a keyboard for a canvas without a screen."""
 
     def __init__(self, canvas: Any, view: Any) -> None:
-        self.canvas, self._view, self.modifiers, self.stamp = canvas, view, (), 0.0
+        self.canvas, self._view, self.stamp = canvas, view, 0.0
+        self.modifiers: tuple[str, ...] = ()
 
     def pass_frame(self) -> None:
         """Draw a frame that nobody looks at, without composing it on the canvas, where software takes longest."""
@@ -112,6 +113,15 @@ class Hand:
             self.move(x, y, button)
             self.pass_frame()
         self.release(*end, button)
+        self.canvas.draw()
+
+    def draw(self, *way: tuple[float, float]) -> None:
+        self.move(*way[0])
+        self.press(*way[0])
+        for x, y in way[1:]:
+            self.move(x, y, 1)
+            self.pass_frame()
+        self.release(*way[-1])
         self.canvas.draw()
 
     def wheel(self, x: float, y: float, dy: float) -> None:

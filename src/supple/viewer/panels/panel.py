@@ -94,7 +94,7 @@ def _seeing(view: View) -> None:
         view.refresh()
     strokes.legend(view)
     label("Frozen", "The colour over what is frozen, and its opacity: 0 for none")
-    flags = imgui.ColorEditFlags_.no_inputs | imgui.ColorEditFlags_.alpha_bar
+    flags = imgui.ColorEditFlags_.no_inputs | imgui.ColorEditFlags_.alpha_bar | imgui.ColorEditFlags_.no_tooltip
     changed, colour = imgui.color_edit4("##veil", list(view.veil_colour), flags)
     if changed:
         view.veil_colour = (colour[0], colour[1], colour[2], colour[3])

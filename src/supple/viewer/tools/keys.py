@@ -48,6 +48,7 @@ _ALWAYS: Rows = {
     "M": "strokes are symmetric about the dashed line, or no longer; its lower knob moves it, the upper one tilts it",
     "click": "select the stroke whose handle is there, or none",
     "[  ]": "smaller and larger brush, or selected stroke",
+    "Ctrl+click on a slider": "type its number",
     "Delete, Backspace": "remove the selected stroke",
     "H": "hide it, or show it again",
     "Escape": "close a menu, abandon the drag, or select nothing",
@@ -72,8 +73,7 @@ _PUSH: Rows = {BRUSHES["push"][0]: f"push: {BRUSHES['push'][1]}"}
 KEYS: Mapping[str, Rows] = {
     "image": {
         **_PICTURE,
-        **_PUSH,
-        **{BRUSHES[name][0]: f"{name}: {BRUSHES[name][1]}" for name in ("level", "keystone")},
+        **{BRUSHES[name][0]: f"{name}: {BRUSHES[name][1]}" for name in ("push", "level", "keystone")},
         **_ALWAYS,
     },
     "video": {
