@@ -347,6 +347,11 @@ def test_wrong_files_are_refused_in_a_line(gpu: Gpu, heads: Any, tmp_path: Path)
         supple.SuppleError, match=r"nothing of .*moving.nii.gz lies within .*head.nii.gz: give the affine"
     ):
         opened(heads["moving"], maps=maps, fixed=heads["fixed"])
+    away = sitk.ReadImage(str(DATA / "brain.nii.gz"))
+    away.SetOrigin((900, 0, 0))
+    sitk.WriteImage(away, str(tmp_path / "away.nii.gz"))
+    with pytest.raises(supple.SuppleError, match=r"away.nii.gz and .*head.nii.gz, .* do not overlap: from \("):
+        opened(DATA / "head.nii.gz", segmentation=tmp_path / "away.nii.gz")
     with pytest.raises(supple.SuppleError, match="label_colours is a colour table"):
         opened(heads["moving"], label_colours="grey")
 
@@ -411,7 +416,9 @@ def test_landmarks_inside_say_how_deep_they_are(gpu: Gpu, tmp_path: Path, monkey
             assert left >= c or a >= right or top >= d or b >= bottom, (said, other)
 
 
-def test_an_oblique_volume_is_reformatted_along_the_patients_axes(gpu: Gpu, tmp_path: Path) -> None:
+def test_an_oblique_volume_is_reformatted_along_the_patients_axes(
+    gpu: Gpu, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Planes along LPS are those that SimpleITK resamples; a drag in one is a stroke in voxels that stays in it."""
     image = sitk.ReadImage(str(DATA / "head.nii.gz"), sitk.sitkInt16)
     angle = np.radians(17.0)
@@ -422,11 +429,18 @@ def test_an_oblique_volume_is_reformatted_along_the_patients_axes(gpu: Gpu, tmp_
     recipe = Recipe(border=None, strokes=(Stroke.grab((45, 60, 40), by=(3, -6, 4), radius=20),))
     view, hand = opened(tmp_path / "oblique.nii.gz", recipe, size=(1280, 800))
     tools = view.tools
-    boxes = [overlay._lies(tools, tools.pane(k)) for k in range(3)]
-    assert all(re.fullmatch(r"[SIAPLR] [0-9.]+ mm, oblique by [0-9.]+\u00b0", said) for said in boxes)
+    boxes = words(monkeypatch)
+    hand.key("1")
+    view.refresh()
+    hand.canvas.draw()
+    assert any(re.fullmatch(r"z 45   [SI] [0-9.]+ mm   oblique by [0-9.]+\u00b0", said) for said, *_ in boxes)
+    hand.key("1")
+    hand.canvas.draw()
+    places = [box for box in boxes if re.fullmatch(r".*[SIAPLR] [0-9.]+ mm.*", box[0])]
+    assert {said[0] for said, *_ in places} == set("xyz")  # shorter, and none is left out
     tools.reformat(True)
     hand.canvas.draw()
-    assert re.fullmatch(r"[SI] [0-9.]+ mm", overlay._lies(tools, tools.pane(0)))
+    assert re.fullmatch(r"[SI] [0-9.]+ mm", overlay._lies(tools, tools.pane(0))[0])
     grid = tools.upright.grid
     assert np.allclose(np.abs(np.array(grid.direction)), np.eye(3), atol=1e-12)
     bent = warp_file(tmp_path / "oblique.nii.gz", tmp_path / "bent.nii.gz", recipe)

@@ -25,7 +25,6 @@ from supple.fields import Placed, folds_of, only_name
 from supple.files.grids import grid_on, reference_grid, warn_of_place
 from supple.files.jobs import Job, Warped, job_of
 from supple.files.options import GridOptions, PathLike, VolumeOptions
-from supple.files.transforms import write_transform
 from supple.folding.resolved import warn_of_still
 from supple.media import transforms
 from supple.media.files import check_output, is_store, replacing
@@ -234,6 +233,8 @@ def warp(job: Job, tell: Tell) -> Warped:
         warn_of_labels(_looked_at(volume), volume.name, known=volume.is_segmentation)
     with contextlib.ExitStack() as stack:
         if known.save_field is not None:
+            from supple.files.transforms import write_transform
+
             # It is renamed together with the volume: if either cannot be written, neither is.
             place = stack.enter_context(replacing(known.save_field, force=job.force))
             on = (regrid or volume.grid).upright()

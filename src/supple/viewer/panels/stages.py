@@ -28,6 +28,7 @@ from supple.gpu.plate import BACK, Laid, Plate, Sight, halved
 from supple.media.image import Picture
 from supple.media.sequence import Pictures
 from supple.media.volume import Volume
+from supple.render.appearance import without_table
 from supple.render.box import Box
 from supple.render.camera import Camera
 from supple.render.labels import LabelColours
@@ -563,6 +564,10 @@ class VolumeStage:
         self.mode = "hybrid"
         self._gpu = gpu
         self._samples = volume.rescaled() if samples is None else samples
+        self.table = False  # whether what lies thin beside the body is rendered too, of which there is a part
+        self._body, self.apart = self._samples, 0.0
+        if self.unit == "HU":
+            self._body, self.apart = without_table(self._samples, volume.geometry.spacing)
         self._bent: dict[int, tuple[Deformation, Scene, str]] = {}  # the result (0), and its base (1); and a warning
         self._rough: dict[int, tuple[Deformation, Scene]] = {}  # previews of the same, of voxels so far apart
         self._apart = next(k for k in (1, 2, 4, 8) if k == _ROUGHEST or self._samples.size <= _EASY * k**3)
@@ -582,7 +587,7 @@ class VolumeStage:
     def _made(self, transfer: Transfer | str) -> Scene:
         device = "cpu" if self._gpu.software else "gpu"
         scene = Scene(
-            self._samples,
+            self._samples if self.table else self._body,
             self.volume.geometry,
             transfer=transfer,
             density=self.density,
@@ -594,9 +599,9 @@ class VolumeStage:
             raise SuppleError(f"{self.name} is more than a shader takes of {self._gpu.name}")
         return scene
 
-    def set_mode(self, mode: str) -> None:
-        """Set the mode of rendering."""
-        self.mode = mode
+    def set_mode(self, mode: str, *, table: bool = False) -> None:
+        """Set the mode of rendering, and whether a CT has its table."""
+        self.mode, self.table = mode, table
         self._plain = self._made(self.scene.transfer)
         self.scene, self._bent, self._rough, self._ahead = self._plain, {}, {}, None
 

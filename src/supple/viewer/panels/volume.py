@@ -57,7 +57,11 @@ def draw(view: View) -> None:
     _cutting(view, stage)
     mode = choice("Rendering", stage.mode, {name: name for name in _MODES}, _MODES[stage.mode])
     if mode != stage.mode:
-        _show(view, lambda: stage.set_mode(mode))
+        _show(view, lambda: stage.set_mode(mode, table=stage.table))
+    if stage.apart:
+        if toggle("Table", stage.table, REST):
+            _show(view, lambda: stage.set_mode(mode, table=not stage.table))
+        hint("Render what lies thin beside the body too, as a table or a head holder does")
     filling = view.filled < 1.0 and not view.tools.original
     if stage.mode == "hybrid" and filling and not view.document.deformation.is_identity:
         imgui.progress_bar(view.filled, (REST, 6), "")

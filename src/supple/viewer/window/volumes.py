@@ -20,7 +20,7 @@ from supple.gpu.device import Gpu
 from supple.media.volume import Volume
 from supple.render.labels import LabelColours
 from supple.render.transfer import transfer_of
-from supple.space.geometry import check_upright
+from supple.space.geometry import check_boxes, check_upright
 from supple.viewer.document.landmarks import Landmarks
 from supple.viewer.panels.layers import Registration, segmentation_of
 from supple.viewer.panels.slices import first_window
@@ -55,7 +55,9 @@ def volume_stage(gpu: Gpu, source: str | os.PathLike[str], options: ViewOptions)
     stage = VolumeStage(gpu, volume, transfer, samples[0] if volume.series else samples)
     stage.registration = known
     if options.segmentation is not None:
-        stage.segmentation = segmentation_of(open_volume(options.segmentation), table)
+        over, own_grid = open_volume(options.segmentation), (volume if known is None else known.moving).grid
+        check_boxes(over.grid.box, over.name, own_grid.box, f"{shown(source)}, whose labels they are,")
+        stage.segmentation = segmentation_of(over, table)
     return stage
 
 
