@@ -95,17 +95,15 @@ def paint(
     fine: int,
     background: Singles,
     target: Any,
-    worked: bool = False,
     ends: Singles | None = None,
 ) -> None:
     """Render into a writable texture of format rgba8unorm, as sRGB, over a background in linear light.
 
-    The texture has ``size`` over ``fine``, or more. It is tinted by inversions along each ray, or by samples, if
-    ``worked``.
+    The texture has ``size`` over ``fine``, or more.
     """
     gpu, width = held.volume.gpu, size[1] // fine
     work = shader(gpu, source("paint"), "paint")
-    settings = {"width": width, "fine": fine, "background": background, "worked": worked}
+    settings = {"width": width, "fine": fine, "background": background}
     with owned(room(gpu, 4)) as (lost,):
         for first, count, seen in _rays(held, look, size, fine, ends):
             rows = count // fine

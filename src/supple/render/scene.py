@@ -387,7 +387,6 @@ class Scene:
         *,
         supersampling: int = 1,
         background: tuple[float, float, float] = (0.0, 0.0, 0.0),
-        overlay: str = "",
     ) -> None:
         """Render an image into a texture of the GPU, for a window, without downloading it.
 
@@ -402,8 +401,6 @@ class Scene:
             As in `render`.
         background : (float, float, float)
             sRGB from 0 to 1.
-        overlay : str
-            ``"inversions"`` tints pixels by their number of inversions or, without any, of samples.
 
         Raises
         ------
@@ -414,7 +411,6 @@ class Scene:
         if held is None:
             raise SuppleError("a texture is drawn into by a GPU, and this scene has none: use render")
         fine = integer("supersampling", supersampling, "a number of rays along a pixel's side, from 1 to 8", 1, 8)
-        choice("overlay", overlay, ("", "inversions"))
         gpu = held.volume.gpu
         if getattr(texture, "_device", None) is not gpu.device:
             refuse("texture", "made by scene.gpu.device", told=f"{type(texture).__name__} of something else")
@@ -434,7 +430,7 @@ class Scene:
         try:
             with gpu.lock:
                 size = rows * fine, columns * fine
-                shading.paint(held, look, size, fine, behind, texture, overlay == "inversions", ends)
+                shading.paint(held, look, size, fine, behind, texture, ends)
         except failures() as error:
             raise SuppleError(f"{gpu.name} could not draw: {trouble(gpu, error)}: use render") from None
 

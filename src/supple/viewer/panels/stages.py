@@ -541,7 +541,6 @@ class VideoStage(ImageStage):
 
 NIMBLE = 0.04  # seconds that a preview of a drag may take
 _ROUGHEST, _EASY = 8, 1 << 21  # voxels from sample to sample of a preview; voxels that are warped in a moment
-_COLD, _WARM = np.array([0.10, 0.25, 0.75]), np.array([0.95, 0.35, 0.10])  # as in warm.wgsl
 
 
 class VolumeStage:
@@ -682,7 +681,6 @@ class VolumeStage:
         camera: Camera,
         size: tuple[int, int],
         texture: Any,
-        overlay: str = "",
         beside: int = 0,
         *,
         moving: bool = False,
@@ -690,16 +688,10 @@ class VolumeStage:
         """Render into a texture of columns and rows; by the CPU, what the device cannot."""
         scene, (columns, rows) = (self.preview if moving else self.deform)(deformation, beside), size
         if scene.gpu is not None:
-            scene.draw(texture, camera, (rows, columns), background=BACK, overlay=overlay)
+            scene.draw(texture, camera, (rows, columns), background=BACK)
             return
         pixels, begun = np.full((rows, columns, 4), 255, np.uint8), time.perf_counter()
-        picture = scene.render(camera, (rows, columns))
-        pixels[..., :3] = picture.pixels(BACK)
-        if overlay == "inversions":
-            work = np.where(picture.evaluations > 0, picture.evaluations, picture.samples)[..., None]
-            part = np.minimum(np.log2(1.0 + work) / 12, 1)
-            tint = 0.4 * pixels[..., :3] + 0.6 * 255 * (_COLD + part * (_WARM - _COLD))
-            pixels[..., :3] = np.where(work > 0, np.rint(tint), pixels[..., :3])
+        pixels[..., :3] = scene.render(camera, (rows, columns)).pixels(BACK)
         filled(self._gpu, texture, pixels)
         self.drawn_in = time.perf_counter() - begun
 

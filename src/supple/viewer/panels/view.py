@@ -187,7 +187,7 @@ class Painter:
         texture = self._textures[k, size]
         if isinstance(stage, VolumeStage):
             moving = not sight.solved
-            stage.draw(deformation, shot.camera, size, texture, sight.overlay, int(shot.original or k), moving=moving)
+            stage.draw(deformation, shot.camera, size, texture, int(shot.original or k), moving=moving)
             self.part = _about_the_middle(sight.size, size)
             return texture
         x, y = (n / (m * coarse) for n, m in zip(sight.size, size, strict=True))
