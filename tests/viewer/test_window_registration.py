@@ -137,7 +137,7 @@ def test_what_a_registration_missed_is_pulled_by_landmarks_and_exported_as_one_f
 ) -> None:
     """The job: pairs by clicks, a pull, a drag, the recipe, and one field, by which ITK maps the points."""
     view, hand = registered(heads, size=(1280, 800))
-    tools, document, marks = view.tools, view.document, view.landmarks
+    tools, document = view.tools, view.document
     tools.sight = tools.sight.at(WRONG, tools.sizes)
     hand.canvas.draw()
     # What is at WRONG in the fixed head is seen elsewhere in the moving one, as the field is wrong there.
@@ -154,13 +154,20 @@ def test_what_a_registration_missed_is_pulled_by_landmarks_and_exported_as_one_f
     hand.canvas.draw()
     hand.click(tools.pane(0).to_canvas(tuple(where)))
     assert "same point in the fixed volume" in overlay.status(view)
-    assert marks.open == 0
+    assert view.landmarks.open == 0
     tools.sight = tools.sight.at(WRONG, tools.sizes)
     hand.canvas.draw()
     hand.click(tools.pane(FIXED).to_canvas(WRONG))
     assert not tools.marking
     assert axial.plane.name == "axial"
-    (residual,) = marks.residuals(document.deformation)
+    (residual,) = view.landmarks.residuals(document.deformation)
+    # Undo takes back a click as it does a stroke.
+    assert [state.made_by for state in document.steps[1:]] == ["Set landmark 1"] * 2
+    shown = []
+    for step in (document.undo, document.undo, document.redo, document.redo):
+        step()
+        shown.append((view.landmarks.names, len(view.landmarks.pairs)))
+    assert shown == [(("1",), 0), ((), 0), (("1",), 0), (("1",), 1)]
     assert residual == pytest.approx(np.linalg.norm((np.round(where[2]) - where[2], 0, 0)) * 4 + 8.4, abs=2.0)
     found: dict[str, tuple[float, float]] = {}
     put(monkeypatch, found)
@@ -170,7 +177,7 @@ def test_what_a_registration_missed_is_pulled_by_landmarks_and_exported_as_one_f
     tools.radius = 30.0
     hand.click(found["Pull them together"])
     assert len(document.strokes) == 1
-    assert marks.residuals(document.deformation)[0] < 0.01
+    assert view.landmarks.residuals(document.deformation)[0] < 0.01
     # Another place is corrected by a drag in the plane, as any stroke; undo takes it back, and redo makes it again.
     start = tools.pane(2).to_canvas((22, 40, 26))
     hand.drag(start, (start[0] + 12, start[1]))
@@ -283,8 +290,25 @@ def test_pairs_come_from_files_and_are_listed_with_their_residuals(gpu: Gpu, hea
     document.commit()
     assert marks.residuals(document.deformation).max() < 0.01
     hand.canvas.draw()
-    marks.remove(1)
-    assert marks.names == ("a", "c")
+    document.mark(marks.without(1), "Remove landmark b")
+    assert view.landmarks.names == ("a", "c")
+    # They come back from the tables that they are saved to.
+    document.mark_saved()
+    assert not view.commands.may_close()
+    assert view.commands.asked.text == "There are landmarks that were not saved."
+    view.commands.ask("save landmarks")
+    assert view.commands.asked.path.endswith("moving-landmarks.csv")
+    view.commands.asked.path = str(tmp_path / "m.txt")
+    assert not view.commands.answer("Save")
+    assert "in tables: choose a name that ends in .csv" in view.commands.asked.problem
+    view.commands.asked.path = str(tmp_path / "m.csv")
+    assert view.commands.answer("Save")
+    assert view.commands.may_close()
+    files = {"points": tmp_path / "m.csv", "fixed_points": tmp_path / "m-fixed.csv"}
+    back = registered(heads, **files)[0].landmarks
+    assert back.names == ("a", "c")
+    np.testing.assert_allclose(back.points, view.landmarks.points, atol=1e-3)
+    np.testing.assert_allclose(back.fixed, view.landmarks.fixed, atol=1e-9)
     (tmp_path / "two.csv").write_text("l,p,s\n0,0,0\n1,1,1\n2,2,2\n3,3,3\n4,4,4\n")
     (tmp_path / "named.csv").write_text("name,l,p,s\nq,0,0,0\n")
     with pytest.raises(supple.SuppleError, match="5 and 1 landmarks, whose names do not match"):

@@ -221,7 +221,6 @@ class View:
     source: Path | None  # the source file, for autosave and export
     export: Mapping[str, Any]  # other options of `supple.warp_file`, for the same image
     call_later: Callable[[float, Callable[[], None]], Any]  # calls a function in the canvas's loop, after seconds
-    landmarks: Landmarks | None = None  # of a volume
 
     def __post_init__(self) -> None:
         self.overlay = ""  # one of `supple.gpu.plate.OVERLAYS`
@@ -248,8 +247,6 @@ class View:
         if isinstance(self.stage, VolumeStage):
             labels = bool(getattr(self.export.get("volume"), "labels", False))
             self.slices = Slices(self.gpu, self.stage, labels)
-        if isinstance(self.tools, VolumeTools):
-            self.tools.marks = self.landmarks
         leave = partial(self.call_later, 0, self.canvas.close)
         self.commands = FileCommands(self.document, self.source, self.write, leave, self.export)
         self.certifier = Certifier(self.canvas.request_draw)
@@ -272,6 +269,11 @@ class View:
             self._told = self.document.recipe
         self._callbacks.append(call)
         return call
+
+    @property
+    def landmarks(self) -> Landmarks | None:
+        """The landmarks of a volume, of which there may be none yet; None where none can be."""
+        return self.document.state.marks
 
     @property
     def logical(self) -> tuple[float, float]:

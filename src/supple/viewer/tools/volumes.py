@@ -51,7 +51,6 @@ class VolumeTools(Tools[Camera]):
     ) -> None:
         super().__init__(document, Camera())
         self.comparison = comparison  # with a fixed volume, on the same grid
-        self.marks: Landmarks | None = None  # that clicks set
         self.marking = False  # whether a click sets a landmark
         self._home, self.pick, self.drag = self.view, pick, drag
         self.stage = orbit.Stage(document.shape, geometry, (1, 1), points)
@@ -85,6 +84,11 @@ class VolumeTools(Tools[Camera]):
         """Give a view the whole canvas; None shows all."""
         self.sight = replace(self.sight, large=None if which is None else which % FIXED)
         self._arrange()
+
+    @property
+    def marks(self) -> Landmarks | None:
+        """The landmarks that clicks set."""
+        return self.document.state.marks
 
     def compare(self, mode: str) -> None:
         """Compare with the fixed volume in another way."""
@@ -218,9 +222,8 @@ class VolumeTools(Tools[Camera]):
         """Undo the current drag; return whether there was any."""
         if self._gesture is not None:
             self.sight = self._base
-        elif self.marking and self.marks is not None:
-            self.marking = False
-            self.marks.drop()
+        elif self.marking:
+            self._end_marking()
             return True
         return super().abandon()
 
@@ -299,8 +302,15 @@ class VolumeTools(Tools[Camera]):
         apart = self.active == RENDERED or (self.comparison is not None and self.comparison.beside)
         fixed = self.active >= FIXED if apart else None
         self.sight = self.sight.at(point, self.sizes)
-        self.marking = not marks.click(point, self.document.deformation, fixed)
+        made = marks.clicked(point, self.document.deformation, fixed)
+        self.marking = made.open is not None
+        self.document.mark(made, f"Set landmark {made.names[-1 if marks.open is None else marks.open]}")
         return True
+
+    def _end_marking(self) -> None:
+        self.marking, marks = False, self.marks
+        if marks is not None and marks.open is not None:
+            self.document.mark(marks.without(marks.open), f"Drop landmark {marks.names[marks.open]}")
 
     def _cross(self, place: Pair) -> None:
         """Move the crosshair, in the plane under the pointer, to a position of the canvas."""
@@ -401,8 +411,9 @@ class VolumeTools(Tools[Camera]):
             self.comparison.turn()
             self._arrange()
         elif key in ("l", "L") and self.marks is not None:
-            self.marking = not self.marking
-            self.marks.drop()
+            marking = not self.marking
+            self._end_marking()
+            self.marking = marking
         elif key in ("ArrowUp", "ArrowDown"):
             self.step(0 if self.active == RENDERED else self.active, 1 if key == "ArrowUp" else -1)
         else:
