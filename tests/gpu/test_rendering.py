@@ -174,9 +174,9 @@ def test_a_texture_receives_the_picture(gpu: Gpu, cloud: np.ndarray, bent: suppl
     scene = Scene(cloud, GEOMETRY, deformation=bent, transfer=SOFT, mode=mode, device="gpu")
     height, width = 41, 53
     texture = canvas_texture(gpu, (width, height))
-    scene.draw(texture, Camera(azimuth=25), supersampling=2, background=(0.1, 0.2, 0.3))
+    scene.draw(texture, Camera(azimuth=25), background=(0.1, 0.2, 0.3))
     found = pixels_of(gpu, texture)
-    wanted = scene.render(Camera(azimuth=25), (height, width), supersampling=2).pixels((0.1, 0.2, 0.3))
+    wanted = scene.render(Camera(azimuth=25), (height, width)).pixels((0.1, 0.2, 0.3))
     assert np.abs(found[..., :3].astype(int) - wanted).max() <= 1
     assert (found[..., 3] == 255).all()
     with pytest.raises(SuppleError, match="of usage STORAGE_BINDING and 80 x 60 pixels or more"):

@@ -26,7 +26,6 @@ from supple.files.grids import grid_on, reference_grid, warn_of_place
 from supple.files.jobs import Job, Warped, job_of
 from supple.files.options import GridOptions, PathLike, VolumeOptions
 from supple.folding.resolved import warn_of_still
-from supple.media import transforms
 from supple.media.files import check_output, is_store, replacing
 from supple.media.volume import Volume, check_target, derived, read, suffix_of, write
 from supple.media.volume.dicom import padding_of
@@ -293,7 +292,9 @@ def check(job: Job) -> None:
         check_output(target, force=force)
         check_target(target, force=force)
     if options.save_field is not None:
-        transforms.check_target(options.save_field)
+        from supple.media.transforms import check_target as check_field
+
+        check_field(options.save_field)
         check_output(options.save_field, force=force)
         if os.path.realpath(options.save_field) in (os.path.realpath(target), os.path.realpath(source)):
             raise SuppleError(f"{shown(options.save_field)} cannot be the field and a volume too: give it another name")

@@ -202,6 +202,11 @@ class Document:
         return self._now.state.strokes
 
     @property
+    def marks(self) -> Landmarks | None:
+        """The landmarks of a volume, of which there may be none yet; None where none can be."""
+        return self._now.state.marks
+
+    @property
     def selected(self) -> int | None:
         """The index of the selected stroke."""
         return self._now.state.selected

@@ -246,7 +246,7 @@ class FileCommands:
         self.following: tuple[Stroke, int, Task] | None = None  # what is tracked: a stroke, and from which frame
         self.recipe_path: Path | None = None  # the last saved or opened recipe
         self.write_marks: Callable[[PathLike, bool], None] | None = None  # writes the landmarks
-        self._marks = self.document.state.marks  # as they were written last
+        self._marks = self.document.marks  # as they were written last
         self._told: Task | None = None
         self.autosave = None if self.source is None else Autosave(self.source, self.document)
         self._left = None if self.source is None else found(self.source)
@@ -354,7 +354,7 @@ class FileCommands:
         if self.document.dirty:
             self.ask("close")
             return False
-        if self.document.state.marks is not self._marks:
+        if self.document.marks is not self._marks:
             text = "There are landmarks that were not saved."
             self.asked = Question("stop", "Close?", text, ("Close without saving", "Cancel"))
             return False
@@ -405,7 +405,7 @@ class FileCommands:
         elif asked.name == "save landmarks" and self.write_marks is not None:
             self._spare(path)
             self.write_marks(path, force)
-            self._marks, self.message = self.document.state.marks, f"saved to {shown(path)}"
+            self._marks, self.message = self.document.marks, f"saved to {shown(path)}"
         elif asked.name == "over":
             self.open(asked.opens, sure=True)
         elif asked.name == "copy":

@@ -439,12 +439,14 @@ def _bent_grid(deformation: Deformation, view: Viewport) -> list[list[Any]]:
 
 
 def bars(view: View) -> None:
-    """Draw the timeline and the status line."""
+    """Draw the timeline and the status line, which lies over the picture where it has several lines."""
     said = status(view)
-    lines = imgui.calc_text_size(said, wrap_width=view.area[0] - 16).y - imgui.get_text_line_height()
+    high = LINE + imgui.calc_text_size(said, wrap_width=view.area[0] - 16).y - imgui.get_text_line_height()
     if isinstance(view.stage, VideoStage):
-        _timeline(view, view.stage, LINE + lines)
-    _status(view, said, LINE + lines)
+        _timeline(view, view.stage, high)
+    _begin_bar("status", view.logical[1] - high, view.area[0], high, (8, 3))
+    wrapped(said, colour=theme.TEXT)
+    _end_bar()
 
 
 def _handles(view: View, lines: imgui.ImDrawList) -> None:
@@ -535,13 +537,6 @@ def _at_frame(frame: float, playback: Playback) -> float:
     low, high = imgui.get_item_rect_min(), imgui.get_item_rect_max()
     inset = 0.5 * imgui.get_style().grab_min_size + 2.0  # a slider's knob stays within it
     return low.x + inset + (high.x - low.x - 2 * inset) * frame / max(playback.count - 1, 1)
-
-
-def _status(view: View, said: str, high: float) -> None:
-    # Over the picture, where it has several lines.
-    _begin_bar("status", view.logical[1] - high, view.area[0], high, (8, 3))
-    wrapped(said, colour=theme.TEXT)
-    _end_bar()
 
 
 def status(view: View) -> str:

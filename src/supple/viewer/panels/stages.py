@@ -560,13 +560,11 @@ class VolumeStage:
         self.unit = "HU" if self.preset.startswith("ct-") else "label" if labels else ""  # of values
         self.density: tuple[float, float] | None = None
         self.clip: Box | None = None
-        self.mode = "hybrid"
         self._gpu = gpu
         self._samples = volume.rescaled() if samples is None else samples
         self.table = False  # whether what lies thin beside the body is rendered too, of which there is a part
-        self._body, self.apart = self._samples, 0.0
-        if self.unit == "HU":
-            self._body, self.apart = without_table(self._samples, volume.geometry.spacing)
+        known = without_table(self._samples, volume.geometry.spacing) if self.unit == "HU" else (self._samples, 0.0)
+        self._body, self.apart = known
         self._bent: dict[int, tuple[Deformation, Scene, str]] = {}  # the result (0), and its base (1); and a warning
         self._rough: dict[int, tuple[Deformation, Scene]] = {}  # previews of the same, of voxels so far apart
         self._apart = next(k for k in (1, 2, 4, 8) if k == _ROUGHEST or self._samples.size <= _EASY * k**3)
@@ -591,16 +589,16 @@ class VolumeStage:
             transfer=transfer,
             density=self.density,
             clip=self.clip,
-            mode=self.mode,
+            mode="hybrid",
             device=device,
         )
         if scene._held is None and not self._gpu.software:
             raise SuppleError(f"{self.name} is more than a shader takes of {self._gpu.name}")
         return scene
 
-    def set_mode(self, mode: str, *, table: bool = False) -> None:
-        """Set the mode of rendering, and whether a CT has its table."""
-        self.mode, self.table = mode, table
+    def set_table(self, table: bool) -> None:
+        """Set whether a CT has its table."""
+        self.table = table
         self._plain = self._made(self.scene.transfer)
         self.scene, self._bent, self._rough, self._ahead = self._plain, {}, {}, None
 
@@ -628,7 +626,7 @@ class VolumeStage:
     @property
     def previews(self) -> bool:
         """Whether the CPU renders a warped volume, of which there is a preview while strokes change."""
-        return self._plain.gpu is None and self.mode != "exact"
+        return self._plain.gpu is None
 
     def preview(self, deformation: Deformation, beside: int = 0) -> Scene:
         """Return the scene with strokes; until it is computed, of as many of its voxels as are warped at once."""

@@ -27,7 +27,6 @@ from supple.viewer.document.background import Certifier
 from supple.viewer.document.editing import Document
 from supple.viewer.document.files import FileCommands
 from supple.viewer.document.keyframes import Part as KeyPart
-from supple.viewer.document.landmarks import Landmarks
 from supple.viewer.document.settings import keep_recent, settings
 from supple.viewer.panels.slices import Slices, physical
 from supple.viewer.panels.stages import ImageStage, VideoStage, VolumeStage, filled
@@ -108,13 +107,6 @@ COARSEST = 8
 _HOME = Camera()
 
 
-def _about_the_middle(seen: tuple[int, int], drawn: tuple[int, int]) -> Part:
-    """Return the visible part of a volume's image: a camera looks at its centre, and fits the shorter side."""
-    pixel = min(seen) / min(drawn)
-    width, height = (n / (m * pixel) for n, m in zip(seen, drawn, strict=True))
-    return 0.5 - 0.5 * width, 0.5 - 0.5 * height, width, 0.0, 0.0, height, 1.0, 0.0, 0.0
-
-
 @dataclass(frozen=True, slots=True)
 class Shot:
     """A request for an image."""
@@ -188,7 +180,10 @@ class Painter:
         if isinstance(stage, VolumeStage):
             moving = not sight.solved
             stage.draw(deformation, shot.camera, size, texture, int(shot.original or k), moving=moving)
-            self.part = _about_the_middle(sight.size, size)
+            # A camera looks at the centre of the image, and fits the shorter side.
+            pixel = min(sight.size) / min(size)
+            width, height = (n / (m * pixel) for n, m in zip(sight.size, size, strict=True))
+            self.part = 0.5 - 0.5 * width, 0.5 - 0.5 * height, width, 0.0, 0.0, height, 1.0, 0.0, 0.0
             return texture
         x, y = (n / (m * coarse) for n, m in zip(sight.size, size, strict=True))
         a, b, c, d, e, f, w, across, down = shot.part
@@ -269,11 +264,6 @@ class View:
             self._told = self.document.recipe
         self._callbacks.append(call)
         return call
-
-    @property
-    def landmarks(self) -> Landmarks | None:
-        """The landmarks of a volume, of which there may be none yet; None where none can be."""
-        return self.document.state.marks
 
     @property
     def logical(self) -> tuple[float, float]:

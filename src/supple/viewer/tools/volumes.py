@@ -14,7 +14,6 @@ from supple.render.camera import Camera
 from supple.render.picture import Pick
 from supple.space.geometry import Geometry
 from supple.viewer.document.editing import Document
-from supple.viewer.document.landmarks import Landmarks
 from supple.viewer.tools import orbit
 from supple.viewer.tools.brushes import GRIP, ZOOM, pans
 from supple.viewer.tools.comparing import Comparison
@@ -84,11 +83,6 @@ class VolumeTools(Tools[Camera]):
         """Give a view the whole canvas; None shows all."""
         self.sight = replace(self.sight, large=None if which is None else which % FIXED)
         self._arrange()
-
-    @property
-    def marks(self) -> Landmarks | None:
-        """The landmarks that clicks set."""
-        return self.document.state.marks
 
     def compare(self, mode: str) -> None:
         """Compare with the fixed volume in another way."""
@@ -285,18 +279,18 @@ class VolumeTools(Tools[Camera]):
     @property
     def status(self) -> str | None:
         """The reason for a refused action, or what a click sets, in a line."""
-        if not self.marking or self.marks is None:
+        if not self.marking or self.document.marks is None:
             return super().status
         beside = self.comparison is not None and self.comparison.beside
-        if self.marks.open is None:
+        if self.document.marks.open is None:
             where = "in the bent volume or in the fixed one" if beside else "in the bent volume"
             return f"click a point {where}; Escape ends it"
-        done = bool(np.isfinite(self.marks.points[self.marks.open]).all())
+        done = bool(np.isfinite(self.document.marks.points[self.document.marks.open]).all())
         return f"click the same point in the {'fixed' if done else 'bent'} volume; Escape ends it"
 
     def _mark(self) -> bool:
         """Set a landmark where the pointer is, in the volume that is there; return whether it had an effect."""
-        point, marks = self.hover, self.marks
+        point, marks = self.hover, self.document.marks
         if point is None or marks is None:
             return False
         apart = self.active == RENDERED or (self.comparison is not None and self.comparison.beside)
@@ -308,7 +302,7 @@ class VolumeTools(Tools[Camera]):
         return True
 
     def _end_marking(self) -> None:
-        self.marking, marks = False, self.marks
+        self.marking, marks = False, self.document.marks
         if marks is not None and marks.open is not None:
             self.document.mark(marks.without(marks.open), f"Drop landmark {marks.names[marks.open]}")
 
@@ -410,7 +404,7 @@ class VolumeTools(Tools[Camera]):
         elif key in ("x", "X") and self.comparison is not None:
             self.comparison.turn()
             self._arrange()
-        elif key in ("l", "L") and self.marks is not None:
+        elif key in ("l", "L") and self.document.marks is not None:
             marking = not self.marking
             self._end_marking()
             self.marking = marking

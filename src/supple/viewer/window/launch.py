@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from supple.deformation import Deformation
 from supple.errors import SuppleError, argument, shown
 from supple.fields import Placed
 from supple.files.clips import parts_of, refuse_maps
@@ -72,8 +73,10 @@ def stage_of(gpu: Gpu, source: Source, options: ViewOptions = _USUAL) -> ImageSt
                 refuse_maps(source)
             return VideoStage(gpu, FrameCache(source), options.time_scale)
         picture = read(source)
-        through = options.mapped(Grid(picture.pixels.shape[:2]))
-        pictured: Picture | npt.NDArray[np.uint8] = picture if through is None else through.warp(picture)
+        pictured: Picture | npt.NDArray[np.uint8] = picture
+        if options.maps:
+            grid = Grid(picture.pixels.shape[:2])
+            pictured = Deformation.from_recipe(Recipe(), grid, maps=options.maps).warp(picture)
     else:
         name, array = "the array", np.asarray(source)
         if options.maps:
