@@ -174,34 +174,13 @@ def test_a_texture_receives_the_picture(gpu: Gpu, cloud: np.ndarray, bent: suppl
     scene = Scene(cloud, GEOMETRY, deformation=bent, transfer=SOFT, mode=mode, device="gpu")
     height, width = 41, 53
     texture = canvas_texture(gpu, (width, height))
-    scene.draw(texture, Camera(azimuth=25), supersampling=2, background=(0.1, 0.2, 0.3))
+    scene.draw(texture, Camera(azimuth=25), background=(0.1, 0.2, 0.3))
     found = pixels_of(gpu, texture)
-    wanted = scene.render(Camera(azimuth=25), (height, width), supersampling=2).pixels((0.1, 0.2, 0.3))
+    wanted = scene.render(Camera(azimuth=25), (height, width)).pixels((0.1, 0.2, 0.3))
     assert np.abs(found[..., :3].astype(int) - wanted).max() <= 1
     assert (found[..., 3] == 255).all()
     with pytest.raises(SuppleError, match="of usage STORAGE_BINDING and 80 x 60 pixels or more"):
         scene.draw(texture, size=(60, 80))
-
-
-@pytest.mark.parametrize("mode", ["exact", "buffered"])
-def test_inversions_tint_the_picture(gpu: Gpu, cloud: np.ndarray, bent: supple.Deformation, mode: str) -> None:
-    ours, scene = (
-        Scene(cloud, GEOMETRY, deformation=bent, transfer=SOFT, mode=mode, device=device) for device in ("cpu", "gpu")
-    )
-    texture = canvas_texture(gpu, (64, 40))
-    scene.draw(texture, overlay="inversions")
-    found = pixels_of(gpu, texture)[..., :3] / 255
-    picture, other = scene.render(size=(40, 64)), ours.render(size=(40, 64))
-    work = picture.evaluations if mode == "exact" else picture.samples
-    assert (picture.evaluations > 0).any() == (mode == "exact")
-    assert np.abs(picture.evaluations - other.evaluations).mean() < 0.15 * max(other.evaluations.mean(), 1e-9) + 1e-9
-    part = np.clip(np.log2(1 + work) / 12, 0, 1)[..., None]
-    warm = np.array([0.10, 0.25, 0.75]) * (1 - part) + np.array([0.95, 0.35, 0.10]) * part
-    plain = picture.pixels((0, 0, 0)) / 255
-    wanted = np.where(work[..., None] > 0, 0.4 * plain + 0.6 * warm, plain)
-    assert np.abs(found - wanted).max() < 0.02
-    with pytest.raises(SuppleError, match="overlay"):
-        scene.draw(texture, overlay="grid")
 
 
 def test_what_is_beyond_the_tolerance_is_said_so() -> None:

@@ -12,8 +12,10 @@ import pytest
 
 import supple
 from supple import Deformation, Grid, SuppleError
+from supple.fields import Placed
 from supple.media import volume as media
 from supple.plot import planes, volume
+from supple.space.affine import Affine
 
 DATA = Path(supple.__file__).parent / "examples" / "data"
 HEAD = str(DATA / "head.nii.gz")
@@ -100,6 +102,11 @@ def test_lines_are_planes_of_the_input(monkeypatch: pytest.MonkeyPatch, tmp_path
     made = drawn(monkeypatch, tmp_path, d, "grid")
     (axes,) = made.axes
     assert "axial slice 51 (of 0 to 90), at S 31 mm" in made._suptitle.get_text()
+    turned = Placed(Affine([[0.96, 0.28, 0, 40], [-0.28, 0.96, 0, 0], [0, 0.1, 1.2, 8]]))
+    made = drawn(monkeypatch, tmp_path, d.behind([turned]), "grid")  # the strokes count, beside an affine map
+    assert "axial slice 51 (of 0 to 90)" in made._suptitle.get_text()
+    made = drawn(monkeypatch, tmp_path, d.without_strokes().behind([turned]), "grid")
+    assert "axial slice 90 (of 0 to 90)" in made._suptitle.get_text()
     made = drawn(monkeypatch, tmp_path, d, "grid", plane="axial:30")
     (axes,) = made.axes
     seen = planes.chosen(opened.grid, "axial:30")

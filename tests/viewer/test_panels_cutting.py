@@ -122,7 +122,7 @@ def test_a_pointer_hits_the_cut_face(window: tuple[Any, Hand], places: Places) -
     assert start[1] == pytest.approx(30, abs=1.5)
 
 
-def test_strokes_modes_and_colours_keep_the_box(window: tuple[Any, Hand], places: Places) -> None:
+def test_strokes_tables_and_colours_keep_the_box(window: tuple[Any, Hand], places: Places) -> None:
     view, hand = window
     hand.click(at(places, "A##cut"))
     box, stage = view.stage.scene.clip, view.stage
@@ -130,7 +130,7 @@ def test_strokes_modes_and_colours_keep_the_box(window: tuple[Any, Hand], places
     assert stage.deform(view.document.deformation).clip == box
     stage.look("grey", None)
     assert stage.scene.clip == box
-    stage.set_mode("exact")
+    stage.set_table(True)
     assert stage.deform(view.document.deformation).clip == box
     half = np.zeros(view.document.shape, np.bool_)
     half[:, :, 30:] = True

@@ -139,8 +139,6 @@ def test_a_step_is_compared_with_the_present(gpu: Gpu, kind: str, request: Any, 
     view, hand = opened(request.getfixturevalue(kind), Recipe(border=None, strokes=strokes[:1]), size=(660, 640))
     if kind == "clip":
         view.document.set_hold(0)
-    if kind == "volume":
-        view.stage.set_mode("exact")
     view.sections |= dict.fromkeys(("Brush", "Strokes", "Volume", "View"), False) | {"History": True}
     one = view.pixels().astype(int)
     view.document.add(replace(strokes[1], radius=30))

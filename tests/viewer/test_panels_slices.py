@@ -75,6 +75,29 @@ def test_scaled_values_are_those_of_the_exported_volume(gpu: Gpu, tmp_path: Path
     assert f"|   {wanted[z, y, x]:.6g} HU   |" in said
 
 
+def test_a_ct_is_rendered_without_its_table_unless_it_is_asked_for(gpu: Gpu, monkeypatch: pytest.MonkeyPatch) -> None:
+    from imgui_bundle import imgui
+
+    _, y, x = np.mgrid[:30, :40, :50]
+    samples = np.where((y - 18) ** 2 + (x - 25) ** 2 / 4 < 81, 40, -1000).astype(np.int16)
+    samples[:, 31, 8:42] = 300
+    view, hand = opened(samples, spacing=(10, 10, 10))
+    stage, found, draw = view.stage, {}, imgui.button
+
+    def drawn(name: str, *rest: Any) -> bool:
+        made, ends = draw(name, *rest), (imgui.get_item_rect_min(), imgui.get_item_rect_max())
+        found[name] = tuple(0.5 * sum(each) for each in ((p.x for p in ends), (p.y for p in ends)))
+        return bool(made)
+
+    monkeypatch.setattr(imgui, "button", drawn)
+    hand.canvas.draw()
+    assert view.slices.sampled(None, 2, 15)[31, 25] == 300  # planes have all
+    for table in (False, True, False):
+        assert stage.table == table
+        assert stage.scene.samples[15, 31, 25] == (300 if table else -1000)
+        hand.click(next(at for name, at in found.items() if name.startswith("Table")))
+
+
 def status(view: Any) -> str:
     from supple.viewer.panels import overlay
 
@@ -265,8 +288,8 @@ def test_landmarks_are_shown_before_and_after(gpu: Gpu, tmp_path: Path) -> None:
     (tmp_path / "marks.csv").write_text(f"name,r,a,s\nnasion,{x},{y},{z}\n")
     recipe = Recipe(border=None, strokes=(Stroke.grab(NOSE, by=(0, -6, 6), radius=20),))
     view, hand = opened(DATA / "head.nii.gz", recipe, points=tmp_path / "marks.csv")
-    assert view.landmarks.names == ("nasion",)
-    after = view.landmarks.moved(view.document.deformation)[0]
+    assert view.document.marks.names == ("nasion",)
+    after = view.document.marks.moved(view.document.deformation)[0]
     np.testing.assert_allclose(after, (45, 90, 46), atol=0.01)
     tools = view.tools
     tools.sight = tools.sight.at(tuple(after), tools.sizes)

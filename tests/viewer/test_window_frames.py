@@ -280,7 +280,6 @@ def test_a_compared_step_of_a_volume_is_solved_once(
         assert len(solved) == count
         return bent_half(view)
 
-    assert view.stage.mode == "hybrid"
     before = rest()
     view.document.add(two)
     after = rest()

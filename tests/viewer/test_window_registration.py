@@ -137,7 +137,7 @@ def test_what_a_registration_missed_is_pulled_by_landmarks_and_exported_as_one_f
 ) -> None:
     """The job: pairs by clicks, a pull, a drag, the recipe, and one field, by which ITK maps the points."""
     view, hand = registered(heads, size=(1280, 800))
-    tools, document, marks = view.tools, view.document, view.landmarks
+    tools, document = view.tools, view.document
     tools.sight = tools.sight.at(WRONG, tools.sizes)
     hand.canvas.draw()
     # What is at WRONG in the fixed head is seen elsewhere in the moving one, as the field is wrong there.
@@ -154,13 +154,20 @@ def test_what_a_registration_missed_is_pulled_by_landmarks_and_exported_as_one_f
     hand.canvas.draw()
     hand.click(tools.pane(0).to_canvas(tuple(where)))
     assert "same point in the fixed volume" in overlay.status(view)
-    assert marks.open == 0
+    assert view.document.marks.open == 0
     tools.sight = tools.sight.at(WRONG, tools.sizes)
     hand.canvas.draw()
     hand.click(tools.pane(FIXED).to_canvas(WRONG))
     assert not tools.marking
     assert axial.plane.name == "axial"
-    (residual,) = marks.residuals(document.deformation)
+    (residual,) = view.document.marks.residuals(document.deformation)
+    # Undo takes back a click as it does a stroke.
+    assert [state.made_by for state in document.steps[1:]] == ["Set landmark 1"] * 2
+    shown = []
+    for step in (document.undo, document.undo, document.redo, document.redo):
+        step()
+        shown.append((view.document.marks.names, len(view.document.marks.pairs)))
+    assert shown == [(("1",), 0), ((), 0), (("1",), 0), (("1",), 1)]
     assert residual == pytest.approx(np.linalg.norm((np.round(where[2]) - where[2], 0, 0)) * 4 + 8.4, abs=2.0)
     found: dict[str, tuple[float, float]] = {}
     put(monkeypatch, found)
@@ -170,7 +177,7 @@ def test_what_a_registration_missed_is_pulled_by_landmarks_and_exported_as_one_f
     tools.radius = 30.0
     hand.click(found["Pull them together"])
     assert len(document.strokes) == 1
-    assert marks.residuals(document.deformation)[0] < 0.01
+    assert view.document.marks.residuals(document.deformation)[0] < 0.01
     # Another place is corrected by a drag in the plane, as any stroke; undo takes it back, and redo makes it again.
     start = tools.pane(2).to_canvas((22, 40, 26))
     hand.drag(start, (start[0] + 12, start[1]))
@@ -272,7 +279,7 @@ def test_pairs_come_from_files_and_are_listed_with_their_residuals(gpu: Gpu, hea
         (tmp_path / f"{name}.csv").write_text("\n".join(["name,l,p,s", *rows]) + "\n")
     files = {"points": tmp_path / "moving.csv", "fixed_points": tmp_path / "fixed.csv"}
     view, hand = registered(heads, size=(1280, 800), **files)
-    marks, document = view.landmarks, view.document
+    marks, document = view.document.marks, view.document
     assert marks.names == ("a", "b", "c")
     before = marks.residuals(document.deformation)
     assert before[0] == pytest.approx(np.linalg.norm(OFF), abs=2.0)
@@ -283,8 +290,25 @@ def test_pairs_come_from_files_and_are_listed_with_their_residuals(gpu: Gpu, hea
     document.commit()
     assert marks.residuals(document.deformation).max() < 0.01
     hand.canvas.draw()
-    marks.remove(1)
-    assert marks.names == ("a", "c")
+    document.mark(marks.without(1), "Remove landmark b")
+    assert view.document.marks.names == ("a", "c")
+    # They come back from the tables that they are saved to.
+    document.mark_saved()
+    assert not view.commands.may_close()
+    assert view.commands.asked.text == "There are landmarks that were not saved."
+    view.commands.ask("save landmarks")
+    assert view.commands.asked.path.endswith("moving-landmarks.csv")
+    view.commands.asked.path = str(tmp_path / "m.txt")
+    assert not view.commands.answer("Save")
+    assert "in tables: choose a name that ends in .csv" in view.commands.asked.problem
+    view.commands.asked.path = str(tmp_path / "m.csv")
+    assert view.commands.answer("Save")
+    assert view.commands.may_close()
+    files = {"points": tmp_path / "m.csv", "fixed_points": tmp_path / "m-fixed.csv"}
+    back = registered(heads, **files)[0].document.marks
+    assert back.names == ("a", "c")
+    np.testing.assert_allclose(back.points, view.document.marks.points, atol=1e-3)
+    np.testing.assert_allclose(back.fixed, view.document.marks.fixed, atol=1e-9)
     (tmp_path / "two.csv").write_text("l,p,s\n0,0,0\n1,1,1\n2,2,2\n3,3,3\n4,4,4\n")
     (tmp_path / "named.csv").write_text("name,l,p,s\nq,0,0,0\n")
     with pytest.raises(supple.SuppleError, match="5 and 1 landmarks, whose names do not match"):
@@ -347,6 +371,11 @@ def test_wrong_files_are_refused_in_a_line(gpu: Gpu, heads: Any, tmp_path: Path)
         supple.SuppleError, match=r"nothing of .*moving.nii.gz lies within .*head.nii.gz: give the affine"
     ):
         opened(heads["moving"], maps=maps, fixed=heads["fixed"])
+    away = sitk.ReadImage(str(DATA / "brain.nii.gz"))
+    away.SetOrigin((900, 0, 0))
+    sitk.WriteImage(away, str(tmp_path / "away.nii.gz"))
+    with pytest.raises(supple.SuppleError, match=r"away.nii.gz and .*head.nii.gz, .* do not overlap: from \("):
+        opened(DATA / "head.nii.gz", segmentation=tmp_path / "away.nii.gz")
     with pytest.raises(supple.SuppleError, match="label_colours is a colour table"):
         opened(heads["moving"], label_colours="grey")
 
@@ -411,7 +440,9 @@ def test_landmarks_inside_say_how_deep_they_are(gpu: Gpu, tmp_path: Path, monkey
             assert left >= c or a >= right or top >= d or b >= bottom, (said, other)
 
 
-def test_an_oblique_volume_is_reformatted_along_the_patients_axes(gpu: Gpu, tmp_path: Path) -> None:
+def test_an_oblique_volume_is_reformatted_along_the_patients_axes(
+    gpu: Gpu, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Planes along LPS are those that SimpleITK resamples; a drag in one is a stroke in voxels that stays in it."""
     image = sitk.ReadImage(str(DATA / "head.nii.gz"), sitk.sitkInt16)
     angle = np.radians(17.0)
@@ -422,11 +453,18 @@ def test_an_oblique_volume_is_reformatted_along_the_patients_axes(gpu: Gpu, tmp_
     recipe = Recipe(border=None, strokes=(Stroke.grab((45, 60, 40), by=(3, -6, 4), radius=20),))
     view, hand = opened(tmp_path / "oblique.nii.gz", recipe, size=(1280, 800))
     tools = view.tools
-    boxes = [overlay._lies(tools, tools.pane(k)) for k in range(3)]
-    assert all(re.fullmatch(r"[SIAPLR] [0-9.]+ mm, oblique by [0-9.]+\u00b0", said) for said in boxes)
+    boxes = words(monkeypatch)
+    hand.key("1")
+    view.refresh()
+    hand.canvas.draw()
+    assert any(re.fullmatch(r"z 45   [SI] [0-9.]+ mm   oblique by [0-9.]+\u00b0", said) for said, *_ in boxes)
+    hand.key("1")
+    hand.canvas.draw()
+    places = [box for box in boxes if re.fullmatch(r".*[SIAPLR] [0-9.]+ mm.*", box[0])]
+    assert {said[0] for said, *_ in places} == set("xyz")  # shorter, and none is left out
     tools.reformat(True)
     hand.canvas.draw()
-    assert re.fullmatch(r"[SI] [0-9.]+ mm", overlay._lies(tools, tools.pane(0)))
+    assert re.fullmatch(r"[SI] [0-9.]+ mm", overlay._lies(tools, tools.pane(0))[0])
     grid = tools.upright.grid
     assert np.allclose(np.abs(np.array(grid.direction)), np.eye(3), atol=1e-12)
     bent = warp_file(tmp_path / "oblique.nii.gz", tmp_path / "bent.nii.gz", recipe)

@@ -25,9 +25,7 @@ from supple.fields import Placed, folds_of, only_name
 from supple.files.grids import grid_on, reference_grid, warn_of_place
 from supple.files.jobs import Job, Warped, job_of
 from supple.files.options import GridOptions, PathLike, VolumeOptions
-from supple.files.transforms import write_transform
 from supple.folding.resolved import warn_of_still
-from supple.media import transforms
 from supple.media.files import check_output, is_store, replacing
 from supple.media.volume import Volume, check_target, derived, read, suffix_of, write
 from supple.media.volume.dicom import padding_of
@@ -234,6 +232,8 @@ def warp(job: Job, tell: Tell) -> Warped:
         warn_of_labels(_looked_at(volume), volume.name, known=volume.is_segmentation)
     with contextlib.ExitStack() as stack:
         if known.save_field is not None:
+            from supple.files.transforms import write_transform
+
             # It is renamed together with the volume: if either cannot be written, neither is.
             place = stack.enter_context(replacing(known.save_field, force=job.force))
             on = (regrid or volume.grid).upright()
@@ -292,7 +292,9 @@ def check(job: Job) -> None:
         check_output(target, force=force)
         check_target(target, force=force)
     if options.save_field is not None:
-        transforms.check_target(options.save_field)
+        from supple.media.transforms import check_target as check_field
+
+        check_field(options.save_field)
         check_output(options.save_field, force=force)
         if os.path.realpath(options.save_field) in (os.path.realpath(target), os.path.realpath(source)):
             raise SuppleError(f"{shown(options.save_field)} cannot be the field and a volume too: give it another name")

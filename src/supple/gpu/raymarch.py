@@ -92,25 +92,21 @@ def paint(
     held: Held,
     look: Look,
     size: tuple[int, int],
-    fine: int,
     background: Singles,
     target: Any,
-    worked: bool = False,
     ends: Singles | None = None,
 ) -> None:
     """Render into a writable texture of format rgba8unorm, as sRGB, over a background in linear light.
 
-    The texture has ``size`` over ``fine``, or more. It is tinted by inversions along each ray, or by samples, if
-    ``worked``.
+    The texture has ``size`` or more.
     """
-    gpu, width = held.volume.gpu, size[1] // fine
+    gpu, width = held.volume.gpu, size[1]
     work = shader(gpu, source("paint"), "paint")
-    settings = {"width": width, "fine": fine, "background": background, "worked": worked}
+    settings = {"width": width, "background": background}
     with owned(room(gpu, 4)) as (lost,):
-        for first, count, seen in _rays(held, look, size, fine, ends):
-            rows = count // fine
+        for first, rows, seen in _rays(held, look, size, 1, ends):
             given = {"seen": seen, "lost": lost, "target_": target.create_view()}
-            work.run((-(-width // 8), -(-rows // 8), 1), settings | {"first": first // fine, "rows": rows}, given)
+            work.run((-(-width // 8), -(-rows // 8), 1), settings | {"first": first, "rows": rows}, given)
             if download(gpu, lost, np.uint32, 1)[0]:  # waits
                 raise ArithmeticError(_LOST)
 

@@ -12,6 +12,7 @@ import numpy.typing as npt
 from supple.arrays import warp_array
 from supple.deformation import Deformation
 from supple.engine.sampling import Sampling, warn_of
+from supple.fields import Field
 from supple.plot import planes
 from supple.plot.frame import bar, check_plot, save, set_axes, sheet, title
 from supple.space.geometry import Floats, Grid
@@ -51,19 +52,23 @@ def draw_volume(
     out : Grid, optional
         The grid of the output; by default, the volume's.
     plane : str, optional
-        As in `supple.plot.planes.chosen`; by default, the axial one that moves most.
+        As in `supple.plot.planes.chosen`; by default, the axial one that moves most, beyond what affine maps do.
     name : str
         For the title.
     """
     check_plot(path, force=force)
-    grid = out or own
+    grid, home, maps = out or own, deformation.grid, deformation.maps
+    known = [each for each in maps if not isinstance(each.map, Field)]
+    bends = deformation.strokes or len(known) < len(maps)  # beyond what affine maps do
+    affine = Deformation(home, border=None).behind(known if bends else ())
 
     def moves(through: int) -> Floats:  # how far the samples of each slice come, on average
         axes = [np.unique(np.linspace(0, n - 1, min(n, _COARSE)).round()) for n in grid.sizes]
         axes[through] = np.arange(grid.sizes[through], dtype=np.float64)
         points = grid.positions(np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3))
-        found = deformation.grid.positions(deformation.inverse(deformation.grid.indices(points)).points)
-        far = np.linalg.norm(found - points, axis=1).reshape([len(axis) for axis in axes])
+        both = (each.inverse(home.indices(points)).points for each in (deformation, affine))
+        found, plain = map(home.positions, both)
+        far = np.linalg.norm(found - plain, axis=1).reshape([len(axis) for axis in axes])
         return np.asarray(far.mean(axis=tuple(k for k in range(3) if k != through)))
 
     seen = planes.chosen(grid, plane, moves)

@@ -385,9 +385,7 @@ class Scene:
         camera: Camera | None = None,
         size: tuple[int, int] | None = None,
         *,
-        supersampling: int = 1,
         background: tuple[float, float, float] = (0.0, 0.0, 0.0),
-        overlay: str = "",
     ) -> None:
         """Render an image into a texture of the GPU, for a window, without downloading it.
 
@@ -398,12 +396,8 @@ class Scene:
         camera : Camera, optional
         size : (int, int), optional
             Rows and columns, at the texture's upper left; by default, all of it.
-        supersampling : int
-            As in `render`.
         background : (float, float, float)
             sRGB from 0 to 1.
-        overlay : str
-            ``"inversions"`` tints pixels by their number of inversions or, without any, of samples.
 
         Raises
         ------
@@ -413,8 +407,6 @@ class Scene:
         held = self._held
         if held is None:
             raise SuppleError("a texture is drawn into by a GPU, and this scene has none: use render")
-        fine = integer("supersampling", supersampling, "a number of rays along a pixel's side, from 1 to 8", 1, 8)
-        choice("overlay", overlay, ("", "inversions"))
         gpu = held.volume.gpu
         if getattr(texture, "_device", None) is not gpu.device:
             refuse("texture", "made by scene.gpu.device", told=f"{type(texture).__name__} of something else")
@@ -430,11 +422,10 @@ class Scene:
         )
         behind = linear_light(colour).astype(np.float32)
         look = self._look(view)
-        ends = self._ends(look, view, fine)
+        ends = self._ends(look, view, 1)
         try:
             with gpu.lock:
-                size = rows * fine, columns * fine
-                shading.paint(held, look, size, fine, behind, texture, overlay == "inversions", ends)
+                shading.paint(held, look, view.size, behind, texture, ends)
         except failures() as error:
             raise SuppleError(f"{gpu.name} could not draw: {trouble(gpu, error)}: use render") from None
 

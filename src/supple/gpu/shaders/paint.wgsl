@@ -1,14 +1,10 @@
 // Results of rays, composited over a background as sRGB, into a texture.
 
-#use warm
-
 struct Settings {
     background: vec3f, // linear light
-    fine: u32, // rays along a pixel's side
     width: u32, // pixels
     first: u32, // row of them
     rows: u32,
-    worked: u32, // true to tint by work: inversions or, without any, samples along a ray
 }
 
 var<uniform> settings: Settings;
@@ -21,25 +17,13 @@ fn paint(@builtin(global_invocation_id) id: vec3u) {
     if (id.x >= settings.width || id.y >= settings.rows) {
         return;
     }
-    var total = vec4f(0.0);
-    var work = 0.0;
-    for (var j = 0u; j < settings.fine; j++) {
-        for (var i = 0u; i < settings.fine; i++) {
-            let k = 2u * ((id.y * settings.fine + j) * settings.width * settings.fine + id.x * settings.fine + i);
-            total += seen[k];
-            let taken = seen[k + 1u];
-            work += select(taken.z, taken.w, taken.w > 0.0);
-            if (taken.w < 0.0) {
-                atomicAdd(&lost, 1u);
-            }
-        }
+    let k = 2u * (id.y * settings.width + id.x);
+    let total = seen[k];
+    if (seen[k + 1u].w < 0.0) {
+        atomicAdd(&lost, 1u);
     }
-    total /= f32(settings.fine * settings.fine);
     let light = clamp(total.xyz + (1.0 - clamp(total.w, 0.0, 1.0)) * settings.background, vec3f(0.0), vec3f(1.0));
     let curved = 1.055 * pow(max(light, vec3f(0.0031308)), vec3f(1.0 / 2.4)) - 0.055;
-    var shown = select(curved, light * 12.92, light <= vec3f(0.0031308));
-    if (settings.worked == 1u && work > 0.0) {
-        shown = mix(shown, warm(log2(1.0 + work / f32(settings.fine * settings.fine)) / 12.0), 0.6);
-    }
+    let shown = select(curved, light * 12.92, light <= vec3f(0.0031308));
     textureStore(target_, vec2u(id.x, id.y + settings.first), vec4f(shown, 1.0));
 }

@@ -23,6 +23,7 @@ from supple.space.straighten import Straighten
 from supple.strokes import CoordinateSpace, FoldPolicy, Recipe, Stroke, last_freeze, spoken
 from supple.viewer.document import words
 from supple.viewer.document.keyframes import animated, edited
+from supple.viewer.document.landmarks import Landmarks
 
 Kind = Literal["image", "video", "volume"]
 Point = tuple[float, ...]
@@ -42,6 +43,7 @@ class State:
     rest: Recipe = _EMPTY  # the recipe's other options
     selected: int | None = None
     made_by: str = field(default="", compare=False)  # the step that led here, in words
+    marks: Landmarks | None = None  # of a volume
 
     @classmethod
     def of(cls, recipe: Recipe, space: CoordinateSpace | None = None) -> Self:
@@ -164,6 +166,7 @@ class Document:
         kind: Kind | None = None,
         geometry: Geometry | None = None,
         hold: int = 0,
+        marks: Landmarks | None = None,
     ) -> None:
         self.shape = tuple(shape)
         self.spacing = spacing
@@ -175,7 +178,7 @@ class Document:
         self._drag: tuple[Solved, int | None] | None = None
         self.frame, self.hold = 0, hold  # of a clip: the frame shown, and how many stay as they are at each end
         self._timed = True  # the kind of the next stroke of a clip that has none
-        self._now = self._solved(self._state(recipe or Recipe()), None)
+        self._now = self._solved(replace(self._state(recipe or Recipe()), marks=marks), None)
         self.steps: tuple[State, ...] = (self._now.state,)
         """The states that undo and redo go through, from the first to the last; as many as there were edits."""
         self.step = 0  # the index of the present one
@@ -197,6 +200,11 @@ class Document:
     def strokes(self) -> tuple[Stroke, ...]:
         """The strokes, with the hidden ones."""
         return self._now.state.strokes
+
+    @property
+    def marks(self) -> Landmarks | None:
+        """The landmarks of a volume, of which there may be none yet; None where none can be."""
+        return self._now.state.marks
 
     @property
     def selected(self) -> int | None:
@@ -433,7 +441,13 @@ class Document:
 
     def load(self, recipe: Recipe) -> None:
         """Replace the document by a recipe, as one step."""
-        self._edit(self._state(recipe))
+        self._edit(replace(self._state(recipe), marks=self.state.marks))
+
+    def mark(self, marks: Landmarks, made_by: str) -> None:
+        """Set the landmarks, as one step, which moves nothing."""
+        self._rest()
+        self._push(replace(self.state, marks=marks, made_by=made_by))
+        self._show(replace(self._now, state=self.steps[self.step]))
 
     def _state(self, recipe: Recipe) -> State:
         return State.of(self.fitted(recipe), recipe.space if recipe.is_world else None)

@@ -245,6 +245,8 @@ class FileCommands:
         self.field: str | None = None  # the convention of the field that is exported; None for the medium itself
         self.following: tuple[Stroke, int, Task] | None = None  # what is tracked: a stroke, and from which frame
         self.recipe_path: Path | None = None  # the last saved or opened recipe
+        self.write_marks: Callable[[PathLike, bool], None] | None = None  # writes the landmarks
+        self._marks = self.document.marks  # as they were written last
         self._told: Task | None = None
         self.autosave = None if self.source is None else Autosave(self.source, self.document)
         self._left = None if self.source is None else found(self.source)
@@ -338,6 +340,7 @@ class FileCommands:
         name = "save" if name == "save as" else name
         mask = f"{stem}-frozen{'.nii.gz' if self.document.kind == 'volume' else '.png'}"
         path = {"export": bent, "copy": f"{stem}-view.png", "load mask": mask, "save mask": mask}.get(name, recipe)
+        path = f"{stem}-landmarks.csv" if name == "save landmarks" else path
         question = Question(name, *_ASKED[name], path)
         if self.choose is None or name in ("close", "export"):
             self.asked = question
@@ -350,6 +353,10 @@ class FileCommands:
         """Return whether nothing would be lost; otherwise, ask."""
         if self.document.dirty:
             self.ask("close")
+            return False
+        if self.document.marks is not self._marks:
+            text = "There are landmarks that were not saved."
+            self.asked = Question("stop", "Close?", text, ("Close without saving", "Cancel"))
             return False
         if self.export is not None and not self.export.done:
             self.asked = Question("stop", "Close?", "An export is under way.", ("Stop it and close", "Cancel"))
@@ -395,6 +402,10 @@ class FileCommands:
             self._spare(path)
             write_freeze(path, self.document.freeze, self.document.shape, self.document.geometry, force=force)
             self.message = f"saved to {shown(path)}"
+        elif asked.name == "save landmarks" and self.write_marks is not None:
+            self._spare(path)
+            self.write_marks(path, force)
+            self._marks, self.message = self.document.marks, f"saved to {shown(path)}"
         elif asked.name == "over":
             self.open(asked.opens, sure=True)
         elif asked.name == "copy":
@@ -535,6 +546,7 @@ _ASKED = {
     "open": ("Open", _OPEN, ("Open", "Cancel")),
     "load mask": ("Load the freeze mask", _LOAD, ("Load", "Cancel")),
     "save mask": ("Save the freeze mask", "What is frozen, in white; in a volume, as 1.", _KEEP),
+    "save landmarks": ("Save the landmarks", "Those of the bent volume; of the fixed one, as NAME-fixed.csv.", _KEEP),
     "export": ("Export", "At full quality. The suffix of the name says the format.", ("Export", "Replace", "Cancel")),
     "copy": ("Save what is seen", "The picture as it is on the canvas.", _KEEP),
     "close": ("Close?", "There are strokes that were not saved.", _WAYS_OUT),

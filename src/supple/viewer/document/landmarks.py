@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Self
 
 import numpy as np
 
@@ -19,13 +20,15 @@ class Landmarks:
     """Named points of a volume before strokes, and of a fixed one: float64 voxels (N, 3), x first; NaN without one.
 
     Where a point has both, it is a pair, whose residual is the distance from where strokes move it to the fixed one.
+    They do not change: an edit makes others. ``open`` is the one of which a point is still to be clicked.
     """
 
-    def __init__(self, names: Sequence[str], points: Floats, fixed: Floats | None = None) -> None:
-        self.names, self.points = tuple(names), np.asarray(points, np.float64)
+    def __init__(
+        self, names: Sequence[str], points: Floats, fixed: Floats | None = None, *, open: int | None = None
+    ) -> None:
+        self.names, self.points, self.open = tuple(names), np.asarray(points, np.float64), open
         self.fixed = np.full(self.points.shape, np.nan) if fixed is None else np.asarray(fixed, np.float64)
-        self.open: int | None = None  # the one of which a point is still to be clicked
-        self._moved: tuple[Deformation, Floats, Floats] | None = None
+        self._moved: tuple[Deformation, Floats] | None = None
 
     @classmethod
     def paired(cls, names: Sequence[str], points: Floats, others: Sequence[str], fixed: Floats) -> Landmarks:
@@ -49,47 +52,37 @@ class Landmarks:
         """Return where the points are after strokes, (N, 3); the last answer is cached."""
         if deformation.is_identity:
             return self.points
-        if self._moved is None or self._moved[0] is not deformation or self._moved[1] is not self.points:
+        if self._moved is None or self._moved[0] is not deformation:
             made, known = self.points.copy(), np.isfinite(self.points).all(1)
             made[known] = deformation.forward(made[known])
-            self._moved = deformation, self.points, made
-        return self._moved[2]
+            self._moved = deformation, made
+        return self._moved[1]
 
     def residuals(self, deformation: Deformation) -> Floats:
         """Return the residual of each landmark after strokes, in millimetres, (N,); NaN where it is no pair."""
         away = (self.moved(deformation) - self.fixed) * deformation.domain.spacing
         return np.asarray(np.linalg.norm(away, axis=1))
 
-    def click(self, point: tuple[float, ...], deformation: Deformation, fixed: bool | None) -> bool:
-        """Set a point of the pair that is open, or of a new one, as it is seen; return whether the pair is whole.
+    def clicked(self, point: tuple[float, ...], deformation: Deformation, fixed: bool | None) -> Self:
+        """Return landmarks with a point of the pair that is open, or of a new one, as it is seen.
 
         With ``fixed`` None, both volumes are seen in one picture: the first point is that of the bent one.
         """
-        if self.open is None:
-            self.open, number = len(self.names), len(self.names) + 1
-            while str(number) in self.names:
+        i, names, both = self.open, self.names, [self.points.copy(), self.fixed.copy()]
+        if i is None:
+            i, number = len(names), len(names) + 1
+            while str(number) in names:
                 number += 1
-            self.names = (*self.names, str(number))
-            self.points, self.fixed = (np.vstack([each, _NOWHERE]) for each in (self.points, self.fixed))
-        i = self.open
-        ours = not fixed if fixed is not None else not np.isfinite(self.points[i]).all()
-        values = (self.points if ours else self.fixed).copy()
-        values[i] = deformation.inverse(point).points if ours else point
-        self.points, self.fixed = (values, self.fixed) if ours else (self.points, values)
-        whole = i in self.pairs
-        self.open = None if whole else i
-        return whole
+            names, both = (*names, str(number)), [np.vstack([each, _NOWHERE]) for each in both]
+        theirs = fixed if fixed is not None else bool(np.isfinite(both[0][i]).all())
+        both[theirs][i] = point if theirs else deformation.inverse(point).points
+        return type(self)(names, *both, open=None if np.isfinite([each[i] for each in both]).all() else i)
 
-    def drop(self) -> None:
-        """Remove the landmark that is open."""
-        if self.open is not None:
-            self.remove(self.open)
-
-    def remove(self, i: int) -> None:
-        """Remove a landmark."""
-        self.names = self.names[:i] + self.names[i + 1 :]
-        self.points, self.fixed = (np.delete(each, i, axis=0) for each in (self.points, self.fixed))
-        self.open = None
+    def without(self, i: int) -> Self:
+        """Return landmarks without one."""
+        return type(self)(
+            self.names[:i] + self.names[i + 1 :], *(np.delete(v, i, 0) for v in (self.points, self.fixed))
+        )
 
     def pull(self, deformation: Deformation, brush: Stroke) -> Stroke:
         """Return the stroke that brings the points of all pairs from where they are seen to the fixed ones.

@@ -36,7 +36,7 @@ def draw(
 
     Lines lead from where strokes took them and, where a fixed volume is in the same picture, on to its points.
     """
-    marks, tools, document = view.landmarks, view.tools, view.document
+    marks, tools, document = view.document.marks, view.tools, view.document
     if marks is None or not isinstance(tools, VolumeTools):
         return
     taken: list[Box] = []

@@ -94,8 +94,7 @@ class Layer:
         kept = self._planes.setdefault(axis, [])
         for known in kept:
             if known[0] is deformation and known[1:3] == (index, grid):
-                kept.remove(known)
-                kept.append(known)
+                kept.sort(key=lambda each: each is known)  # now the last one
                 return known[3]
         made = rescaled(self._raw(deformation, axis, index, grid), self._scaling)
         self._planes[axis] = [*kept[-1:], (deformation, index, grid, made)]  # the result, and what it is compared with

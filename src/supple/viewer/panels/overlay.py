@@ -161,11 +161,13 @@ def _plane(view: View, tools: VolumeTools, lines: imgui.ImDrawList, k: int) -> N
     axis, name = pane.plane.axis, f"{pane.plane.name}, fixed" if fixed else pane.plane.name
     _text(lines, (left + _INSET, top + _INSET), name, _PLANES[k % FIXED])
     wide = imgui.calc_text_size(name).x
-    said = _lies(tools, pane)
-    if pane.upright is None:
-        said = f"{'xyz'[axis]} {pane.index[axis]}   {said}"
-    if 3 * _INSET + wide + imgui.calc_text_size(said).x < 0.5 * width - _INSET:  # beside the letter in the middle
-        _text(lines, (left + 2 * _INSET + wide, top + _INSET), said, theme.GREY)
+    place, slant = _lies(tools, pane)
+    number = f"{'xyz'[axis]} {pane.index[axis]}" if pane.upright is None else ""
+    room = 0.5 * width - 4 * _INSET - wide  # beside the letter in the middle
+    wordings = (number, place, slant and f"oblique by {slant}"), (number, place, slant), (place, slant), (place,)
+    joined = ("   ".join(filter(None, words)) for words in wordings)
+    fitting = next((text for text in joined if imgui.calc_text_size(text).x < room), "")
+    _text(lines, (left + 2 * _INSET + wide, top + _INSET), fitting, theme.GREY)
     _bar(lines, pane.place, pane.scale)
     other = compared is not None and compared.beside and tools.active % FIXED == k % FIXED and tools.active != k
     if other and tools.pointer is not None and (point := tools.hover) is not None:  # the pointer, in the other volume
@@ -186,15 +188,15 @@ def _letter(place: Place, side: str, across: float, down: float) -> Place:
     return x - _GAP, y - _GAP, x + size.x + _GAP, y + size.y + _GAP
 
 
-def _lies(tools: VolumeTools, pane: Pane) -> str:
-    """Return where a plane lies on the axis of a patient that it crosses, such as S 12 mm, or how oblique it is."""
+def _lies(tools: VolumeTools, pane: Pane) -> tuple[str, str]:
+    """Return where a plane lies on the axis of a patient that it crosses, such as S 12 mm, and by how much it leans."""
     geometry = tools.geometry
     if geometry.convention == "array":
-        return ""
+        return "", ""
     row = int(np.abs(geometry.direction[:, pane.plane.axis]).argmax())
     place = float(geometry.to_lps(tools.index)[row])
-    said = f"{SIDES[row][place < 0]} {abs(place):.1f} mm"
-    return f"{said}, oblique by {geometry.oblique:.2g}\u00b0" if geometry.oblique and pane.upright is None else said
+    slant = f"{geometry.oblique:.2g}\u00b0" if geometry.oblique and pane.upright is None else ""
+    return f"{SIDES[row][place < 0]} {abs(place):.1f} mm", slant
 
 
 def _crosshair(tools: VolumeTools, lines: imgui.ImDrawList, pane: Pane, letters: Iterable[Place]) -> None:
@@ -437,12 +439,14 @@ def _bent_grid(deformation: Deformation, view: Viewport) -> list[list[Any]]:
 
 
 def bars(view: View) -> None:
-    """Draw the timeline and the status line."""
+    """Draw the timeline and the status line, which lies over the picture where it has several lines."""
     said = status(view)
-    lines = imgui.calc_text_size(said, wrap_width=view.area[0] - 16).y - imgui.get_text_line_height()
+    high = LINE + imgui.calc_text_size(said, wrap_width=view.area[0] - 16).y - imgui.get_text_line_height()
     if isinstance(view.stage, VideoStage):
-        _timeline(view, view.stage, LINE + lines)
-    _status(view, said, LINE + lines)
+        _timeline(view, view.stage, high)
+    _begin_bar("status", view.logical[1] - high, view.area[0], high, (8, 3))
+    wrapped(said, colour=theme.TEXT)
+    _end_bar()
 
 
 def _handles(view: View, lines: imgui.ImDrawList) -> None:
@@ -533,13 +537,6 @@ def _at_frame(frame: float, playback: Playback) -> float:
     low, high = imgui.get_item_rect_min(), imgui.get_item_rect_max()
     inset = 0.5 * imgui.get_style().grab_min_size + 2.0  # a slider's knob stays within it
     return low.x + inset + (high.x - low.x - 2 * inset) * frame / max(playback.count - 1, 1)
-
-
-def _status(view: View, said: str, high: float) -> None:
-    # Over the picture, where it has several lines.
-    _begin_bar("status", view.logical[1] - high, view.area[0], high, (8, 3))
-    wrapped(said, colour=theme.TEXT)
-    _end_bar()
 
 
 def status(view: View) -> str:

@@ -12,7 +12,6 @@ from imgui_bundle import imgui
 from supple.engine.sampling import BETWEEN
 from supple.errors import shown
 from supple.files.options import ClipOptions
-from supple.gpu.plate import OVERLAYS
 from supple.media.transforms import CONVENTIONS
 from supple.media.volume import suffix_of
 from supple.viewer.document.background import Task
@@ -86,13 +85,13 @@ def panel(view: View) -> None:
 def _seeing(view: View) -> None:
     if not section(view, "View"):
         return
-    names = ["", "inversions"] if view.stage.kind == "volume" else list(OVERLAYS)
-    tip = "What the map does, and what it costs, in colours over the picture"
-    overlay = choice("Overlay", view.overlay, {name: strokes.NAMES[name] for name in names}, tip)
-    if overlay != view.overlay:
-        view.overlay = overlay
-        view.refresh()
-    strokes.legend(view)
+    if view.stage.kind != "volume":
+        tip = "What the map does, and what it costs, in colours over the picture"
+        overlay = choice("Overlay", view.overlay, strokes.NAMES, tip)
+        if overlay != view.overlay:
+            view.overlay = overlay
+            view.refresh()
+        strokes.legend(view)
     label("Frozen", "The colour over what is frozen, and its opacity: 0 for none")
     flags = imgui.ColorEditFlags_.no_inputs | imgui.ColorEditFlags_.alpha_bar | imgui.ColorEditFlags_.no_tooltip
     changed, colour = imgui.color_edit4("##veil", list(view.veil_colour), flags)

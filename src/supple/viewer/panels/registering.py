@@ -47,8 +47,8 @@ def draw(view: View) -> None:
         _comparison(view, tools, tools.comparison)
     if view.slices.segmentation is not None:
         _labels(view, view.slices.segmentation)
-    if tools.comparison is not None and view.landmarks is not None:
-        _landmarks(view, tools, view.landmarks)
+    if tools.comparison is not None and view.document.marks is not None:
+        _landmarks(view, tools, view.document.marks)
 
 
 def _comparison(view: View, tools: VolumeTools, known: Comparison) -> None:
@@ -122,6 +122,8 @@ def _landmarks(view: View, tools: VolumeTools, marks: Landmarks) -> None:
         view.attempt(partial(_pull, view, tools, marks))
     imgui.end_disabled()
     hint("One stroke with the radius of the brush, by which each point ends at the fixed one")
+    if marks.names and imgui.button("Save landmarks \u2026", (REST, 0)):
+        view.commands.ask("save landmarks")
 
 
 def _list(view: View, tools: VolumeTools, marks: Landmarks, residuals: np.ndarray, before: np.ndarray) -> None:
@@ -153,7 +155,7 @@ def _list(view: View, tools: VolumeTools, marks: Landmarks, residuals: np.ndarra
         imgui.pop_id()
     imgui.end_child()
     if gone is not None:
-        marks.remove(gone)
+        view.attempt(partial(view.document.mark, marks.without(gone), f"Remove landmark {marks.names[gone]}"))
 
 
 def _pull(view: View, tools: VolumeTools, marks: Landmarks) -> None:

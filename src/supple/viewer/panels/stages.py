@@ -28,6 +28,7 @@ from supple.gpu.plate import BACK, Laid, Plate, Sight, halved
 from supple.media.image import Picture
 from supple.media.sequence import Pictures
 from supple.media.volume import Volume
+from supple.render.appearance import without_table
 from supple.render.box import Box
 from supple.render.camera import Camera
 from supple.render.labels import LabelColours
@@ -540,7 +541,6 @@ class VideoStage(ImageStage):
 
 NIMBLE = 0.04  # seconds that a preview of a drag may take
 _ROUGHEST, _EASY = 8, 1 << 21  # voxels from sample to sample of a preview; voxels that are warped in a moment
-_COLD, _WARM = np.array([0.10, 0.25, 0.75]), np.array([0.95, 0.35, 0.10])  # as in warm.wgsl
 
 
 class VolumeStage:
@@ -560,9 +560,11 @@ class VolumeStage:
         self.unit = "HU" if self.preset.startswith("ct-") else "label" if labels else ""  # of values
         self.density: tuple[float, float] | None = None
         self.clip: Box | None = None
-        self.mode = "hybrid"
         self._gpu = gpu
         self._samples = volume.rescaled() if samples is None else samples
+        self.table = False  # whether what lies thin beside the body is rendered too, of which there is a part
+        known = without_table(self._samples, volume.geometry.spacing) if self.unit == "HU" else (self._samples, 0.0)
+        self._body, self.apart = known
         self._bent: dict[int, tuple[Deformation, Scene, str]] = {}  # the result (0), and its base (1); and a warning
         self._rough: dict[int, tuple[Deformation, Scene]] = {}  # previews of the same, of voxels so far apart
         self._apart = next(k for k in (1, 2, 4, 8) if k == _ROUGHEST or self._samples.size <= _EASY * k**3)
@@ -582,21 +584,21 @@ class VolumeStage:
     def _made(self, transfer: Transfer | str) -> Scene:
         device = "cpu" if self._gpu.software else "gpu"
         scene = Scene(
-            self._samples,
+            self._samples if self.table else self._body,
             self.volume.geometry,
             transfer=transfer,
             density=self.density,
             clip=self.clip,
-            mode=self.mode,
+            mode="hybrid",
             device=device,
         )
         if scene._held is None and not self._gpu.software:
             raise SuppleError(f"{self.name} is more than a shader takes of {self._gpu.name}")
         return scene
 
-    def set_mode(self, mode: str) -> None:
-        """Set the mode of rendering."""
-        self.mode = mode
+    def set_table(self, table: bool) -> None:
+        """Set whether a CT has its table."""
+        self.table = table
         self._plain = self._made(self.scene.transfer)
         self.scene, self._bent, self._rough, self._ahead = self._plain, {}, {}, None
 
@@ -624,7 +626,7 @@ class VolumeStage:
     @property
     def previews(self) -> bool:
         """Whether the CPU renders a warped volume, of which there is a preview while strokes change."""
-        return self._plain.gpu is None and self.mode != "exact"
+        return self._plain.gpu is None
 
     def preview(self, deformation: Deformation, beside: int = 0) -> Scene:
         """Return the scene with strokes; until it is computed, of as many of its voxels as are warped at once."""
@@ -677,7 +679,6 @@ class VolumeStage:
         camera: Camera,
         size: tuple[int, int],
         texture: Any,
-        overlay: str = "",
         beside: int = 0,
         *,
         moving: bool = False,
@@ -685,16 +686,10 @@ class VolumeStage:
         """Render into a texture of columns and rows; by the CPU, what the device cannot."""
         scene, (columns, rows) = (self.preview if moving else self.deform)(deformation, beside), size
         if scene.gpu is not None:
-            scene.draw(texture, camera, (rows, columns), background=BACK, overlay=overlay)
+            scene.draw(texture, camera, (rows, columns), background=BACK)
             return
         pixels, begun = np.full((rows, columns, 4), 255, np.uint8), time.perf_counter()
-        picture = scene.render(camera, (rows, columns))
-        pixels[..., :3] = picture.pixels(BACK)
-        if overlay == "inversions":
-            work = np.where(picture.evaluations > 0, picture.evaluations, picture.samples)[..., None]
-            part = np.minimum(np.log2(1.0 + work) / 12, 1)
-            tint = 0.4 * pixels[..., :3] + 0.6 * 255 * (_COLD + part * (_WARM - _COLD))
-            pixels[..., :3] = np.where(work > 0, np.rint(tint), pixels[..., :3])
+        pixels[..., :3] = scene.render(camera, (rows, columns)).pixels(BACK)
         filled(self._gpu, texture, pixels)
         self.drawn_in = time.perf_counter() - begun
 

@@ -53,13 +53,12 @@ _SCALES: dict[str, tuple[str, tuple[str, ...]]] = {
     "stretch": ("How much larger or smaller an area is than in the original.", ("half", "same", "twice")),
     "residual": ("How far each source point misses its pixel when it is bent.", ("1/65536 px", "1/256 px", "1 px")),
     "inversions": ("Steps of Newton's method for each pixel.", ("0", "4", "8")),
-    "rays": ("Inversions along each ray or, without strokes, samples.", ("0", "64", "4096")),
 }
 
 
 def legend(view: View) -> None:
     """Draw the legend of the overlays that are shown."""
-    name = "rays" if view.overlay == "inversions" and view.stage.kind == "volume" else view.overlay
+    name = view.overlay
     if name == "grid":
         step = grid_step(view.tools.view.zoom) if isinstance(view.tools, ImageTools) else 32
         wrapped(f"Lines of the original, every {32 if view.document.timed else step} pixels, as they are bent.")

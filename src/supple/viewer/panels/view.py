@@ -27,7 +27,6 @@ from supple.viewer.document.background import Certifier
 from supple.viewer.document.editing import Document
 from supple.viewer.document.files import FileCommands
 from supple.viewer.document.keyframes import Part as KeyPart
-from supple.viewer.document.landmarks import Landmarks
 from supple.viewer.document.settings import keep_recent, settings
 from supple.viewer.panels.slices import Slices, physical
 from supple.viewer.panels.stages import ImageStage, VideoStage, VolumeStage, filled
@@ -108,13 +107,6 @@ COARSEST = 8
 _HOME = Camera()
 
 
-def _about_the_middle(seen: tuple[int, int], drawn: tuple[int, int]) -> Part:
-    """Return the visible part of a volume's image: a camera looks at its centre, and fits the shorter side."""
-    pixel = min(seen) / min(drawn)
-    width, height = (n / (m * pixel) for n, m in zip(seen, drawn, strict=True))
-    return 0.5 - 0.5 * width, 0.5 - 0.5 * height, width, 0.0, 0.0, height, 1.0, 0.0, 0.0
-
-
 @dataclass(frozen=True, slots=True)
 class Shot:
     """A request for an image."""
@@ -187,8 +179,11 @@ class Painter:
         texture = self._textures[k, size]
         if isinstance(stage, VolumeStage):
             moving = not sight.solved
-            stage.draw(deformation, shot.camera, size, texture, sight.overlay, int(shot.original or k), moving=moving)
-            self.part = _about_the_middle(sight.size, size)
+            stage.draw(deformation, shot.camera, size, texture, int(shot.original or k), moving=moving)
+            # A camera looks at the centre of the image, and fits the shorter side.
+            pixel = min(sight.size) / min(size)
+            width, height = (n / (m * pixel) for n, m in zip(sight.size, size, strict=True))
+            self.part = 0.5 - 0.5 * width, 0.5 - 0.5 * height, width, 0.0, 0.0, height, 1.0, 0.0, 0.0
             return texture
         x, y = (n / (m * coarse) for n, m in zip(sight.size, size, strict=True))
         a, b, c, d, e, f, w, across, down = shot.part
@@ -221,7 +216,6 @@ class View:
     source: Path | None  # the source file, for autosave and export
     export: Mapping[str, Any]  # other options of `supple.warp_file`, for the same image
     call_later: Callable[[float, Callable[[], None]], Any]  # calls a function in the canvas's loop, after seconds
-    landmarks: Landmarks | None = None  # of a volume
 
     def __post_init__(self) -> None:
         self.overlay = ""  # one of `supple.gpu.plate.OVERLAYS`
@@ -248,8 +242,6 @@ class View:
         if isinstance(self.stage, VolumeStage):
             labels = bool(getattr(self.export.get("volume"), "labels", False))
             self.slices = Slices(self.gpu, self.stage, labels)
-        if isinstance(self.tools, VolumeTools):
-            self.tools.marks = self.landmarks
         leave = partial(self.call_later, 0, self.canvas.close)
         self.commands = FileCommands(self.document, self.source, self.write, leave, self.export)
         self.certifier = Certifier(self.canvas.request_draw)

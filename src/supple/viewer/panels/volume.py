@@ -1,4 +1,4 @@
-"""How a volume is rendered: its colours, the window of its values, the curve of their opacity, and the mode."""
+"""How a volume is rendered: its colours, the window of its values, and the curve of their opacity."""
 
 from __future__ import annotations
 
@@ -19,12 +19,6 @@ from supple.viewer.panels.view import View
 from supple.viewer.panels.widgets import LABEL, REST, choice, hint, label, section, slider, toggle, typed, wrapped
 from supple.viewer.tools.planes import ends_of
 from supple.viewer.tools.volumes import VolumeTools
-
-_MODES = {
-    "hybrid": "From a lattice of source points, and from a bent copy once it is complete: fast",
-    "exact": "Each sample of each ray is inverted: exact, and slow",
-    "buffered": "From a bent copy of the whole volume: the fastest, and interpolated twice",
-}
 
 
 def draw(view: View) -> None:
@@ -55,11 +49,12 @@ def draw(view: View) -> None:
     if isinstance(transfer, TransferFunction):
         _transfer(view, stage, transfer)
     _cutting(view, stage)
-    mode = choice("Rendering", stage.mode, {name: name for name in _MODES}, _MODES[stage.mode])
-    if mode != stage.mode:
-        _show(view, lambda: stage.set_mode(mode))
+    if stage.apart:
+        if toggle("Table", stage.table, REST):
+            _show(view, lambda: stage.set_table(not stage.table))
+        hint("Render what lies thin beside the body too, as a table or a head holder does")
     filling = view.filled < 1.0 and not view.tools.original
-    if stage.mode == "hybrid" and filling and not view.document.deformation.is_identity:
+    if filling and not view.document.deformation.is_identity:
         imgui.progress_bar(view.filled, (REST, 6), "")
         wrapped("Bending a copy of the volume: pictures are faster once it is complete.")
 

@@ -14,7 +14,6 @@ from supple.render.camera import Camera
 from supple.render.picture import Pick
 from supple.space.geometry import Geometry
 from supple.viewer.document.editing import Document
-from supple.viewer.document.landmarks import Landmarks
 from supple.viewer.tools import orbit
 from supple.viewer.tools.brushes import GRIP, ZOOM, pans
 from supple.viewer.tools.comparing import Comparison
@@ -51,7 +50,6 @@ class VolumeTools(Tools[Camera]):
     ) -> None:
         super().__init__(document, Camera())
         self.comparison = comparison  # with a fixed volume, on the same grid
-        self.marks: Landmarks | None = None  # that clicks set
         self.marking = False  # whether a click sets a landmark
         self._home, self.pick, self.drag = self.view, pick, drag
         self.stage = orbit.Stage(document.shape, geometry, (1, 1), points)
@@ -218,9 +216,8 @@ class VolumeTools(Tools[Camera]):
         """Undo the current drag; return whether there was any."""
         if self._gesture is not None:
             self.sight = self._base
-        elif self.marking and self.marks is not None:
-            self.marking = False
-            self.marks.drop()
+        elif self.marking:
+            self._end_marking()
             return True
         return super().abandon()
 
@@ -282,25 +279,32 @@ class VolumeTools(Tools[Camera]):
     @property
     def status(self) -> str | None:
         """The reason for a refused action, or what a click sets, in a line."""
-        if not self.marking or self.marks is None:
+        if not self.marking or self.document.marks is None:
             return super().status
         beside = self.comparison is not None and self.comparison.beside
-        if self.marks.open is None:
+        if self.document.marks.open is None:
             where = "in the bent volume or in the fixed one" if beside else "in the bent volume"
             return f"click a point {where}; Escape ends it"
-        done = bool(np.isfinite(self.marks.points[self.marks.open]).all())
+        done = bool(np.isfinite(self.document.marks.points[self.document.marks.open]).all())
         return f"click the same point in the {'fixed' if done else 'bent'} volume; Escape ends it"
 
     def _mark(self) -> bool:
         """Set a landmark where the pointer is, in the volume that is there; return whether it had an effect."""
-        point, marks = self.hover, self.marks
+        point, marks = self.hover, self.document.marks
         if point is None or marks is None:
             return False
         apart = self.active == RENDERED or (self.comparison is not None and self.comparison.beside)
         fixed = self.active >= FIXED if apart else None
         self.sight = self.sight.at(point, self.sizes)
-        self.marking = not marks.click(point, self.document.deformation, fixed)
+        made = marks.clicked(point, self.document.deformation, fixed)
+        self.marking = made.open is not None
+        self.document.mark(made, f"Set landmark {made.names[-1 if marks.open is None else marks.open]}")
         return True
+
+    def _end_marking(self) -> None:
+        self.marking, marks = False, self.document.marks
+        if marks is not None and marks.open is not None:
+            self.document.mark(marks.without(marks.open), f"Drop landmark {marks.names[marks.open]}")
 
     def _cross(self, place: Pair) -> None:
         """Move the crosshair, in the plane under the pointer, to a position of the canvas."""
@@ -400,9 +404,10 @@ class VolumeTools(Tools[Camera]):
         elif key in ("x", "X") and self.comparison is not None:
             self.comparison.turn()
             self._arrange()
-        elif key in ("l", "L") and self.marks is not None:
-            self.marking = not self.marking
-            self.marks.drop()
+        elif key in ("l", "L") and self.document.marks is not None:
+            marking = not self.marking
+            self._end_marking()
+            self.marking = marking
         elif key in ("ArrowUp", "ArrowDown"):
             self.step(0 if self.active == RENDERED else self.active, 1 if key == "ArrowUp" else -1)
         else:

@@ -7,12 +7,14 @@ import os
 import secrets
 import sys
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
+from supple.deformation import Deformation
 from supple.errors import SuppleError, argument, shown
 from supple.fields import Placed
 from supple.files.clips import parts_of, refuse_maps
@@ -38,7 +40,7 @@ from supple.viewer.tools.playback import Playback
 from supple.viewer.tools.volumes import VolumeTools
 from supple.viewer.window import dialogs
 from supple.viewer.window.options import EVEN, PLAIN, Spacing, ViewOptions
-from supple.viewer.window.volumes import OPTIONS, comparison_of, landmarks_of, volume_stage
+from supple.viewer.window.volumes import OPTIONS, comparison_of, landmarks_of, volume_stage, write_landmarks
 
 if TYPE_CHECKING:
     from supple.viewer.window.window import Window
@@ -71,8 +73,10 @@ def stage_of(gpu: Gpu, source: Source, options: ViewOptions = _USUAL) -> ImageSt
                 refuse_maps(source)
             return VideoStage(gpu, FrameCache(source), options.time_scale)
         picture = read(source)
-        through = options.mapped(Grid(picture.pixels.shape[:2]))
-        pictured: Picture | npt.NDArray[np.uint8] = picture if through is None else through.warp(picture)
+        pictured: Picture | npt.NDArray[np.uint8] = picture
+        if options.maps:
+            grid = Grid(picture.pixels.shape[:2])
+            pictured = Deformation.from_recipe(Recipe(), grid, maps=options.maps).warp(picture)
     else:
         name, array = "the array", np.asarray(source)
         if options.maps:
@@ -160,15 +164,18 @@ def opened(
         size, in_time = size[:2], False
     if not in_time or options.fit == "pixels":  # the length of a frame would have to be scaled
         recipe = fit_recipe(recipe, size, options.fit, stage.name)
-    landmarks = landmarks_of(stage, options) if isinstance(stage, VolumeStage) else None
+    marks = landmarks_of(stage, options) if isinstance(stage, VolumeStage) else None
     hold = int(stage.kind == "video" and any(parts_of(stage.shape[0], 1)))  # where frames are left to fade in
-    document = Document(stage.shape, stage.spacing, recipe, kind=stage.kind, geometry=geometry, hold=hold)
+    document = Document(stage.shape, stage.spacing, recipe, kind=stage.kind, geometry=geometry, hold=hold, marks=marks)
     tools = tools_of(stage, document, canvas.get_logical_size())
     if options.frame is not None and isinstance(tools, VideoTools):
         last = tools.playback.count - 1
         tools.playback.seek(integer("frame", options.frame, f"from 0 to {last}", 0, last))
     path = Path(source) if isinstance(source, str | os.PathLike) else None
-    return Window(stage, document, tools, canvas, gpu, path, options.export, loop.call_later, landmarks)
+    window = Window(stage, document, tools, canvas, gpu, path, options.export, loop.call_later)
+    if isinstance(stage, VolumeStage):
+        window.commands.write_marks = partial(write_landmarks, stage, document)
+    return window
 
 
 def _gpu() -> Gpu:

@@ -6,13 +6,11 @@ import os
 from dataclasses import dataclass, replace
 from typing import Any
 
-from supple.deformation import Deformation
 from supple.errors import SuppleError, argument
 from supple.fields import Placed
 from supple.files.options import GridOptions, VolumeOptions
 from supple.space.checks import length
-from supple.space.geometry import Grid
-from supple.strokes import Fit, Recipe
+from supple.strokes import Fit
 
 Spacing = tuple[float, float, float]
 EVEN = (1.0, 1.0, 1.0)
@@ -52,7 +50,3 @@ class ViewOptions:
         known: dict[str, Any] = {"volume": replace(self.volume, world=False)}
         known |= {"maps": self.maps} if self.maps else {}
         return known if self.fixed is None else {**known, "grid": GridOptions(self.fixed, strokes=True)}
-
-    def mapped(self, grid: Grid) -> Deformation | None:
-        """Return the fields and affine maps on a grid; None if there are none."""
-        return Deformation.from_recipe(Recipe(), grid, maps=self.maps) if self.maps else None

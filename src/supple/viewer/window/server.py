@@ -33,7 +33,7 @@ def guarded(app: App, token: str, title: str) -> App:
     The token comes once in the address, and then as a cookie. Of several pages, the last one has the window.
     """
     name = "supple-" + token[:6]
-    page, turns = page_of(title), _Turns(app)
+    page, turns = _PAGE.format(title=escape(title), keys=KEYS, taken=TAKEN).encode(), _Turns(app)
 
     async def serve(scope: Scope, receive: Receive, send: Send) -> None:
         if scope["type"] == "lifespan":
@@ -239,8 +239,3 @@ new MutationObserver((changes, watch) => {{
 </body>
 </html>
 """
-
-
-def page_of(title: str) -> bytes:
-    """Return the page of a window."""
-    return _PAGE.format(title=escape(title), keys=KEYS, taken=TAKEN).encode()

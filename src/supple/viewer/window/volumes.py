@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import csv
 import os
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
@@ -13,14 +15,16 @@ from supple.engine.sampling import Sampling
 from supple.errors import SuppleError, argument, shown
 from supple.files.grids import warn_of_place
 from supple.files.landmarks import read_landmarks
-from supple.files.options import GridOptions
+from supple.files.options import GridOptions, PathLike
 from supple.files.renders import default_transfer
 from supple.files.volumes import background_of, is_of_labels, moved, open_volume
 from supple.gpu.device import Gpu
+from supple.media.files import replacing
 from supple.media.volume import Volume
 from supple.render.labels import LabelColours
 from supple.render.transfer import transfer_of
-from supple.space.geometry import check_upright
+from supple.space.geometry import check_boxes, check_upright
+from supple.viewer.document.editing import Document
 from supple.viewer.document.landmarks import Landmarks
 from supple.viewer.panels.layers import Registration, segmentation_of
 from supple.viewer.panels.slices import first_window
@@ -55,7 +59,9 @@ def volume_stage(gpu: Gpu, source: str | os.PathLike[str], options: ViewOptions)
     stage = VolumeStage(gpu, volume, transfer, samples[0] if volume.series else samples)
     stage.registration = known
     if options.segmentation is not None:
-        stage.segmentation = segmentation_of(open_volume(options.segmentation), table)
+        over, own_grid = open_volume(options.segmentation), (volume if known is None else known.moving).grid
+        check_boxes(over.grid.box, over.name, own_grid.box, f"{shown(source)}, whose labels they are,")
+        stage.segmentation = segmentation_of(over, table)
     return stage
 
 
@@ -96,6 +102,23 @@ def comparison_of(stage: VolumeStage) -> Comparison | None:
     transfer = default_transfer(fixed)
     hounsfield = isinstance(transfer, str) and transfer.startswith("ct-")
     return Comparison(first_window(fixed, "HU" if hounsfield else ""))
+
+
+def write_landmarks(stage: VolumeStage, document: Document, path: PathLike, force: bool) -> None:
+    """Write the landmarks of a volume to a table in LPS, and those of the fixed one to another, NAME-fixed.csv."""
+    marks, known, geometry = document.marks, stage.registration, stage.volume.geometry
+    assert marks is not None
+    assert known is not None
+    first = Path(path)
+    if first.suffix.lower() != ".csv":
+        raise SuppleError(f"{shown(path)}: landmarks are saved in tables: choose a name that ends in .csv")
+    through = known.plain.behind(known.maps)
+    for place, points in ((first, marks.points), (first.with_stem(f"{first.stem}-fixed"), marks.fixed)):
+        there = np.isfinite(points).all(axis=1)
+        own = through.inverse(points[there]).points if points is marks.points else points[there]
+        rows = zip(np.array(marks.names)[there].tolist(), geometry.to_lps(own).tolist(), strict=True)
+        with replacing(place, force=force) as made, open(made, "w", encoding="utf-8", newline="") as file:
+            csv.writer(file).writerows([("name", "l", "p", "s"), *((name, *at) for name, at in rows)])
 
 
 def landmarks_of(stage: VolumeStage, options: ViewOptions) -> Landmarks | None:
