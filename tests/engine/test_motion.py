@@ -14,7 +14,7 @@ import pytest
 import supple
 from supple import Deformation, SuppleError
 from supple.engine import core
-from supple.engine.motion import CUT, Motion, Moving
+from supple.engine.motion import CUT, Motion, Moving, motion_between
 from supple.engine.sampling import Sampling
 from supple.engine.work import Group, Layout, Work
 from tests import effort, reference
@@ -218,6 +218,16 @@ def test_noise_does_not_move() -> None:
     made = [later(3, SIZE).warp(source, between=between)[1:] for between in ("linear", "flow")]
     mixed, followed = (reference.psnr(each, still[1:], 255) for each in made)
     assert followed > mixed - 0.1
+
+
+@pytest.mark.parametrize("grain", [1.0, 0.0])
+def test_small_movements_are_followed_unless_most_samples_repeat(grain: float) -> None:
+    """As those of codecs do that compress hard, whose own mixtures move by as little."""
+    rng = np.random.default_rng(0)
+    frames = [np.rint(scene(t, (2, 0)) + rng.normal(0, grain, SIZE)).clip(0, 255).astype(np.uint8) for t in (0, 1)]
+    one, other = (cv2.resize(frame, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA) for frame in frames)
+    _, longest = motion_between(one, other)
+    assert longest == pytest.approx(2 if grain else 0, abs=0.2)
 
 
 def test_at_a_cut_the_nearer_frame_is_shown() -> None:

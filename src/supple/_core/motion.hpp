@@ -55,72 +55,55 @@ struct Followed {
 template <class Job>
 inline bool Followed::find(const Job& job, const Row<3>& from) {
     const Motion& m = job.motion;
-    const int n = from.count, every = most(1, (int)(m.step / job.grid.step[0]));  // between two v of a row
-    const float* field[STRIDE];  // of the pair of each sample; null for none
-    float way[STRIDE];           // 1, or -1 in a mirror image of the clip, which plays backwards
-    float v[3][STRIDE];
-    bool any = false;
-    for (int k = 0; k < n; k++) {
-        if (k > 0 && from.whole[2][k] == from.whole[2][k - 1]) {
-            field[k] = field[k - 1];
-            way[k] = way[k - 1];
-            share[2][k] = share[2][k - 1];
-            continue;
-        }
-        const int i = placed(from.whole[2][k], job.count, job.rule);
-        const int j = placed(from.whole[2][k] + 1, job.count, job.rule);
-        field[k] = nullptr;
-        way[k] = share[2][k] = 0;
-        if (i < 0 || j < 0 || i == j) continue;
-        const int slot = least(i, j) % m.capacity;
-        if (m.longest[slot] == 0) continue;
-        field[k] = m.fields + (ptrdiff_t)slot * m.h * m.w * 4;
-        if (m.longest[slot] > 0) way[k] = i < j ? 1 : -1;
-        share[2][k] = 1;
-        any = true;
-    }
-    if (!any) return false;
+    const int n = from.count, every = least(most((int)(m.step / job.grid.step[0]), 1), 4);  // between two v of a row
     float scale[2], start[2];
     for (int d = 0; d < 2; d++) {
         scale[d] = (float)(job.grid.step[d] / m.step);
         start[d] = (float)((job.grid.offset[d] - m.first[d]) / m.step);
     }
-    auto look = [&](int k) {
-        if (way[k] == 0) {
-            v[0][k] = v[1][k] = 0;
-            v[2][k] = share[2][k];
-            return;
+    float way[STRIDE];  // 1, or -1 in a mirror image of the clip, which plays backwards; 0 at a cut, and for a mixture
+    float v[3][STRIDE];
+    bool any = false, stays = true;
+    for (int k = 0, end; k < n; k = end) {  // samples of one pair
+        const int pair = from.whole[2][k];
+        for (end = k + 1; end < n && from.whole[2][end] == pair;) end++;
+        const int i = placed(pair, job.count, job.rule), j = placed(pair + 1, job.count, job.rule);
+        const int slot = least(i, j) % m.capacity;
+        const float longest = i < 0 || j < 0 || i == j ? 0 : m.longest[slot];
+        const float forth = longest <= 0 ? 0.0f : i < j ? 1.0f : -1.0f;
+        any |= longest != 0;
+        stays &= longest >= 0;
+        std::fill(way + k, way + end, forth);
+        if (forth == 0) {
+            for (int d = 0; d < 3; d++) std::fill(v[d] + k, v[d] + end, d == 2 && longest < 0 ? 1.0f : 0.0f);
+            continue;
         }
-        const float x = ((float)from.whole[0][k] + from.part[0][k]) * scale[0] + start[0];
-        const float y = ((float)from.whole[1][k] + from.part[1][k]) * scale[1] + start[1];
-        const float ahead = way[k] * (0.5f - from.part[2][k]) / (float)m.step;
-        Pixel<float> now = m.at(field[k], x, y), last = now;
-        for (int turn = 0; turn < 4; turn++) {
-            last = now;
-            now = m.at(field[k], x + ahead * now[0], y + ahead * now[1]);
-            if (magnitude(ahead * (now[0] - last[0])) + magnitude(ahead * (now[1] - last[1])) < SETTLED) break;
-        }
-        now = (now + last) * 0.5f;  // where paths cross, there is no one v
-        for (int d = 0; d < 3; d++) v[d][k] = now[d];
-    };
-    look(0);
-    for (int left = 0, right; left < n - 1; left = right) {
-        right = least(left + every, n - 1);
-        look(right);
-        const float share = 1 / (float)(right - left);
-        for (int k = left + 1; k < right; k++) {
-            if (field[left] != field[k] || field[right] != field[k])
-                look(k);
-            else
-                for (int d = 0; d < 3; d++)
-                    v[d][k] = v[d][left] + (float)(k - left) * share * (v[d][right] - v[d][left]);
+        const float* field = m.fields + (ptrdiff_t)slot * m.h * m.w * 4;
+        auto look = [&](int at) {
+            const float x = ((float)from.whole[0][at] + from.part[0][at]) * scale[0] + start[0];
+            const float y = ((float)from.whole[1][at] + from.part[1][at]) * scale[1] + start[1];
+            const float ahead = forth * (0.5f - from.part[2][at]) / (float)m.step;
+            Pixel<float> now = {}, last;
+            for (int turn = 0; turn < 5; turn++) {
+                last = now;
+                now = m.at(field, x + ahead * now[0], y + ahead * now[1]);
+                if (magnitude(ahead * (now[0] - last[0])) + magnitude(ahead * (now[1] - last[1])) < SETTLED) return now;
+            }
+            return (now + last) * 0.5f;  // where paths cross, there is no one v
+        };
+        Pixel<float> left = look(k), right = left;
+        for (int at = k; at < end; at += every, left = right) {
+            const int next = least(at + every, end - 1);
+            if (next > at) right = look(next);
+            stays &= left[0] == 0 && left[1] == 0 && right[0] == 0 && right[1] == 0;
+            const Pixel<float> part = Pixel<float>{0, 1, 2, 3} * (1 / (float)most(next - at, 1));
+            for (int d = 0; d < 3; d++) {
+                const Pixel<float> four = left[d] + part * (right[d] - left[d]);  // past the last, they are replaced
+                memcpy(v[d] + at, &four, sizeof four);
+            }
         }
     }
-    if (!job.average) {  // what stays in place is mixed
-        bool stays = true;
-        for (int k = 0; k < n; k++) stays &= !field[k] || (way[k] != 0 && v[0][k] == 0 && v[1][k] == 0);
-        if (stays) return false;
-    }
+    if (!any || (stays && !job.average)) return false;  // what stays in place is mixed
     for (Row<3>& to : row) {
         to.sloped = from.sloped;
         to.count = n;
@@ -143,13 +126,12 @@ inline bool Followed::find(const Job& job, const Row<3>& from) {
             row[side].part[2][k] = row[side].depth2[k] = 0;
         }
     }
+    if (job.average)
+        for (int k = 0; k < n; k++) v[2][k] *= most(1 - (float)covered(from.depth2[k]), 0.0f);
     for (int k = 0; k < n; k++) {
-        const float a = from.part[2][k];
-        float weight = a > 0 ? v[2][k] : 0;
-        if (job.average) weight *= most(1 - (float)covered(from.depth2[k]), 0.0f);
-        const float after = way[k] == 0   ? least(most((a - 0.5f) / CUT + 0.5f, 0.0f), 1.0f)
-                            : job.average ? (float)(a >= 0.5f)  // a mixture of two has less grain than each
-                                          : a;
+        const float a = from.part[2][k], sudden = least(most((a - 0.5f) / CUT + 0.5f, 0.0f), 1.0f);
+        const float slow = job.average ? (float)(a >= 0.5f) : a;  // a mixture of two has less grain than each
+        const float weight = a > 0 ? v[2][k] : 0.0f, after = way[k] == 0 ? sudden : slow;
         share[0][k] = weight * (1 - after);
         share[1][k] = weight * after;
         share[2][k] = 1 - weight;

@@ -31,9 +31,9 @@ _SMOOTH = 3.0  # displacements: the deviation of averages of disagreement
 _ALIKE = 0.5  # displacements between the two directions up to which they are averaged
 _STRAY = 0.7, 0.85  # the part of the change in which directions contradict each other, from which none is followed
 _SHOTS = 15.0  # levels of 255: frames half of whose samples disagree by more, in the end, are of two shots
-# The part of the change that has to be explained, over which trust fades in: where it moves by few pixels, by how much
-# more than grain remains in some places; less where it moves by many.
-_UNEVEN, _MOVED, _FAR, _FADES = ((1.2, 1.4), (0.4, 0.7)), (1.2, 6.0), 0.1, 0.15
+# The part of the change that has to be explained, over which trust fades in: where it moves by few pixels, by how many
+# samples are the same in both frames, which is what codecs leave that compress hard; less where it moves by many.
+_SAME, _MOVED, _FAR, _FADES = ((0.42, 0.53), (0.4, 0.7)), (1.2, 6.0), 0.1, 0.15
 
 
 def need_flow() -> None:
@@ -126,18 +126,18 @@ def motion_between(one: Grey, other: Grey) -> tuple[Floats, float]:
     if noise > _SHOTS and stray > 0.5:
         return fields, CUT
     change, rest = (float((still * each).sum()) / whole for each in (still, moved))
-    least = np.interp(rest / max(noise, 0.05), *_UNEVEN)  # grain remains everywhere, what codecs leave does not
+    least = np.interp(np.count_nonzero(one == other) / one.size, *_SAME)  # what they mix themselves does not move
     asked = np.interp(APART * float((still * length).sum()) / whole, _MOVED, (least, _FAR))
     explained = 1 - max(rest - noise, 0) / max(change - noise, 0.5)
     trust = _step((explained - asked) / _FADES) * _step((_STRAY[1] - stray) / (_STRAY[1] - _STRAY[0]))
     # Here: none where the mixture agrees as well.
     slack = 0.2 + 1.5 * noise
     ratio = (np.maximum(moved - noise, 0) + slack) / (np.maximum(still - noise, 0) + slack)
-    weight = np.clip(1.4 - 1.3 * ratio, 0, 1) * trust
+    weight = np.clip(1.4 + 0.05 * max(noise - 1.5, 0) - 1.3 * ratio, 0, 1) * trust
     v *= APART * (cv2.dilate(weight, np.ones((3, 3))) > 0)[..., None]
     # Nothing but noise: both frames show the same at the same place.
-    weight[still < 1.25 * noise + 0.25] = 1
-    v[still < 1.25 * noise + 0.25] = 0
+    weight[still < 1.17 * noise + 0.25] = 1
+    v[still < 1.17 * noise + 0.25] = 0
     fields[..., :2], fields[..., 2] = v, weight
     return fields, max(float(cv2.magnitude(*cv2.split(v)).max()), 1e-3)
 
