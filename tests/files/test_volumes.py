@@ -145,7 +145,7 @@ def test_spaces_that_do_not_fit_are_refused(here: Path, capfd: pytest.CaptureFix
     for given, wanted in (
         (["in.nii", "out.nii", "--recipe", "px.json", "--world"], "px.json is in pixels: leave it out"),
         (["in.nii", "out.nii", "--recipe", "px.json", *grab, "--world"], "px.json is in pixels: leave it out"),
-        (["in.nii", "out.nii", "--recipe", "ras.json", *GRAB], "ras.json is in RAS millimetres, and --grab in voxels"),
+        (["in.nii", "out.nii", "--recipe", "ras.json", *GRAB], "ras.json is in millimetres, and --grab"),
         (["in.nrrd", "out.nrrd", "--recipe", "ras.json", "--world"], "--world means LPS, as in.nrrd has them"),
         (["in.tif", "out.tif", "--recipe", "ras.json"], "in.tif does not know where it lies in space"),
         (["in.nii", "out.nii", "--recipe", "ras.json", "--fit", "pixels"], "--fit is for recipes in pixels"),
