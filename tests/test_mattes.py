@@ -231,6 +231,8 @@ def test_the_mirror_image_of_a_stroke_has_that_of_its_matte(axis: int) -> None:
     with pytest.raises(SuppleError, match="normal must be along an axis for a stroke with a matte"):
         stroke.mirrored(middle, (1, 1))
     assert not stroke.is_image(replace(stroke, at=(40, 30)))
+    longer = replace(image, matte=None, path=(*image.path, (9.0, 9.0)))
+    assert not replace(stroke, matte=None).is_image(longer)
 
 
 def test_the_mirror_image_of_a_matte_that_moves() -> None:

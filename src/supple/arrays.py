@@ -333,36 +333,38 @@ def warp_batch(
 def clamp_to(source: Array, result: Array, sampling: Sampling) -> None:
     """Clamp a result to the finite range of its source and the fill value around it, which cubic filters overshoot.
 
-    NaN and infinities are unchanged.
+    NaN are unchanged, and infinities of a source or a fill value that has some.
     """
     kind, cubic = result.dtype.kind, sampling.filter in ("auto", "cubic") or sampling.between_frames == "cubic"
     if kind not in "iuf" or not cubic:
         return
-    low, high = _finite_range(source)
+    low, high, infinite = _finite_range(source)
     if low > high:  # no finite value
         return
     if sampling.outside == "constant":
-        fill = [float(x) for x in np.ravel(sampling.fill) if np.isfinite(x)] or [float(low)]
+        fills = [float(x) for x in np.ravel(sampling.fill)]
+        fill = [x for x in fills if np.isfinite(x)] or [float(low)]
+        infinite = infinite or fill != fills
         if kind in "iu":
             least, most = np.iinfo(result.dtype).min, np.iinfo(result.dtype).max
             fill = [min(max(round(x), least), most) for x in fill]
         low, high = min(low, result.dtype.type(min(fill))), max(high, result.dtype.type(max(fill)))
     for part in _slabs(result):  # values within the range keep every bit, the sign of a zero too
         for beyond, bound in ((part < low, low), (part > high, high)):
-            np.copyto(part, bound, where=beyond & np.isfinite(part) if kind == "f" and beyond.any() else beyond)
+            np.copyto(part, bound, where=beyond & np.isfinite(part) if infinite else beyond)
 
 
-def _finite_range(source: Array) -> tuple[Any, Any]:
-    """Return the least and the greatest finite value, in reverse order if there is none."""
-    kind = source.dtype.newbyteorder("=")
+def _finite_range(source: Array) -> tuple[Any, Any, bool]:
+    """Return the least and the greatest finite value (in reverse order if there is none), and if any is infinite."""
+    kind, infinite = source.dtype.newbyteorder("="), False
     low, high = (np.inf, -np.inf) if kind.kind == "f" else (np.iinfo(kind).max, np.iinfo(kind).min)
     for part in _slabs(source):
         least, most = np.fmin.reduce(part, axis=None), np.fmax.reduce(part, axis=None)
         if np.isinf(least) or np.isinf(most):
-            finite = part[np.isfinite(part)]
+            infinite, finite = True, part[np.isfinite(part)]
             least, most = finite.min(initial=np.inf), finite.max(initial=-np.inf)
         low, high = min(low, least), max(high, most)
-    return kind.type(low), kind.type(high)
+    return kind.type(low), kind.type(high), infinite
 
 
 def _slabs(array: Array) -> Iterator[Array]:

@@ -185,7 +185,7 @@ def _chunks(
     elif isinstance(chunks, tuple | list) and len(chunks) == n:
         chunks = (*[1] * first, *chunks, *tail)
     try:
-        made = da.core.normalize_chunks(chunks, shape, _DEFAULT, dtype)  # type: ignore[no-untyped-call]
+        made = da.core.normalize_chunks(chunks, shape, None if given is not None else _DEFAULT, dtype)  # type: ignore[no-untyped-call]
         if any(size < 1 for sizes in made for size in sizes):
             raise ValueError("a chunk has at least one sample along each axis")
     except (ValueError, TypeError, IndexError, KeyError, ArithmeticError, AttributeError) as error:

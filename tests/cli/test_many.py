@@ -53,6 +53,31 @@ def test_folders_within_a_folder_and_files_that_are_there(run: Run) -> None:
     assert (status, err.partition(";")[0]) == (0, "supple: 0 files written into in/out, 2 there already")
 
 
+def test_a_recipe_replaces_nothing_that_is_bent_or_written(run: Run) -> None:
+    os.makedirs("in")
+    for name in ("in/one", "in/two"):  # by their content, names without a suffix are pictures too
+        image.write("a.png", noise(30, 40, 3), force=True)
+        os.rename("a.png", name)
+    before = Path("in/one").read_bytes()
+    for words in (("in/one", "x.png"), ("in/*", "out/")):
+        status, _, err = run("warp", *words, *GRAB, "--save-recipe", "in/one", "--force")
+        assert (status, Path("in/one").read_bytes()) == (2, before)
+        assert "--save-recipe in/one is a file that is bent" in one_line(err)
+    np.zeros((9, 8, 7), np.int16).tofile("v.raw")
+    voxels = ("v.raw", "o.nii", "--shape", "7,8,9", "--dtype", "int16", "--grab", "4,4,4:5,4,4", "--radius", "3")
+    status, _, err = run("warp", *voxels, "--save-field", "f.h5", "--save-recipe", "f.h5", "--force")
+    assert (status, Path("f.h5").exists(), Path("o.nii").exists()) == (2, False, False)
+
+
+def test_what_is_no_file_in_a_folder_is_passed_over(run: Run) -> None:
+    os.makedirs("in")
+    image.write("in/a.png", noise(30, 40, 3))
+    os.symlink("nowhere", "in/z.png")
+    os.mkfifo("in/f.png")
+    assert run("warp", "in", "out", *GRAB)[0] == 0
+    assert os.listdir("out") == ["a.png"]
+
+
 @pytest.mark.parametrize(
     ("more", "says"),
     [

@@ -91,3 +91,10 @@ def test_both_infinities_have_no_average() -> None:
     made = supple.Deformation(SIZE).affine([[1, 0, 0.5], [0, 1, 0]]).warp(source, filter="linear")
     assert [made[30, 39], made[30, 41]] == [np.inf, -np.inf]
     assert np.isnan(made[30, 40])
+
+
+def test_what_overflows_is_clamped() -> None:
+    source = np.zeros((40, 50), np.float16)
+    source[:, ::7] = source[::5] = 65504
+    made = supple.Deformation((40, 50), border=None).grab((25, 20), by=(12, 7), radius=12).warp(source, clamp=True)
+    assert made.max() == 65504

@@ -45,7 +45,8 @@ def pair(given: Sequence[str], target: str, *, recursive: bool = False) -> tuple
             several = True
             inside = list[Path]()
             for folder, names, files in os.walk(name, onerror=_unreadable, followlinks=True):
-                inside += [Path(folder, file) for file in sorted(files) if file[0] != "." and suffix_of(file) in _KNOWN]
+                seen = [Path(folder, file) for file in sorted(files) if file[0] != "." and suffix_of(file) in _KNOWN]
+                inside += [path for path in seen if path.is_file()]  # no pipes, nor links that lead nowhere
                 below = [Path(folder, each) for each in sorted(names) if each[0] != "."]
                 left += [] if recursive else below
                 earlier = os.path.realpath(target)  # of an earlier run

@@ -641,9 +641,9 @@ def _freeze(text: str, width: float | None) -> "Freeze":
 
 
 def _reach(option: str, text: str) -> float | None:
-    if text.strip().lower() in ("none", "inf"):
-        return None
-    return parse_number(option, text, "a number of radii from 1, or none")
+    plain = "inf" if text.strip().lower() == "none" else text
+    radii = parse_number(option, plain, "a number of radii from 1, or none")
+    return None if radii == math.inf else radii
 
 
 def _numbers(wanted: str) -> Callable[[str, str], float]:

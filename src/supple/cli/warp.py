@@ -3,9 +3,10 @@
 import glob
 import os
 import re
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Iterable
 from dataclasses import replace
 from functools import partial
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -174,12 +175,18 @@ def warp(
         raise SuppleError("cannot write '': name a file, or a folder, last")
     if save_recipe is not None:
         check_recipe_name(save_recipe, force=options.force)
-        if any(same_file(save_recipe, path) for path in paths):
-            raise SuppleError(f"--save-recipe {save_recipe} is a file that is bent or written: choose another name")
+
+    def apart(others: Iterable[str | Path]) -> None:
+        kept = Path(save_recipe or "")
+        for path in [Path(each) for each in (save_field, *others) if each and save_recipe]:
+            if same_file(kept, path) or kept.resolve() == path.resolve():
+                raise SuppleError(f"--save-recipe {save_recipe} is a file that is bent or written: choose another name")
+
     if any(map(is_store, paths)):
         from supple.cli.stores import warp_stored
 
         several.check(False, options.force)
+        apart(paths)
         stored = warp_stored(console, paths, template, elements, running.to_running(), json=options.json)
         if save_recipe is not None:
             write_recipe(save_recipe, _kept(recipe, stored, reading.world), force=options.force)
@@ -199,6 +206,7 @@ def warp(
     else:
         pairs, many, left = pair(paths[:-1], paths[-1], recursive=several.recursive)
     several.check(many, options.force)
+    apart(chain(*pairs))
     marks = strokes.landmarks
     if many and marks is not None and os.path.isfile(marks) and not marks.lower().endswith(".xml"):
         raise SuppleError(

@@ -181,7 +181,7 @@ def _from_json(name: str, text: str) -> PointFile:
     places: list[tuple[int, int, bool]] = []
     points: list[Floats] = []
     labels, first = [], ""
-    with refusing(refused, ValueError, LookupError, TypeError, AttributeError, RecursionError):
+    with refusing(refused, ArithmeticError, ValueError, LookupError, TypeError, AttributeError, RecursionError):
         data = json.loads(text.removeprefix("\ufeff"))
         for m, markup in enumerate(data["markups"]):
             where = f"markup {m + 1}: "
@@ -201,7 +201,8 @@ def _from_json(name: str, text: str) -> PointFile:
 
 
 def _numbers(value: object) -> Floats:
-    made = np.array(value, np.float64)
+    given = np.array(value)  # neither text nor truth values are coordinates
+    made = given.astype(np.float64) if given.dtype.kind in "iuf" else np.empty(0)
     if made.shape != (3,) or not (np.abs(made) <= LARGEST).all():
         raise ValueError(f"{value_shown(value)} is not three numbers from {-LARGEST:g} to {LARGEST:g}")
     return made

@@ -34,7 +34,10 @@ class Affine:
     def __init__(self, matrix: npt.ArrayLike) -> None:
         wanted = "an array of shape (3, 3) or (2, 3) for pictures, (4, 4) or (3, 4) for volumes"
         try:
-            given = np.asarray(matrix).astype(np.float64, casting="same_kind")  # a copy, and no complex numbers
+            given = np.asarray(matrix)
+            if given.dtype.kind == "c":
+                refuse("matrix", wanted, told="complex numbers")
+            given = np.array(given, np.float64)
         except (TypeError, ValueError):
             refuse("matrix", wanted, matrix)
         if given.shape not in ((2, 3), (3, 3), (3, 4), (4, 4)):

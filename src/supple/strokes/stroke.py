@@ -246,7 +246,7 @@ class Stroke:
         _check_ends("grab", to, by)
         end = point("by" if to is None else "to", by if to is None else to, (len(start),))
         drag = end if to is None else tuple(b - a for a, b in zip(start, end, strict=True))
-        known: dict[str, Any] = {"path": path, "poisson": poisson, "scales": scales, "flat": flat, **options}
+        known: dict[str, Any] = {"path": path, "poisson": poisson, "scales": scales, "flat": flat, **_known(options)}
         return cls(at=start, by=drag, radius=radius, **known)
 
     @classmethod
@@ -275,7 +275,7 @@ class Stroke:
         at, radius, reach, time_radius, strength
             As for all brushes.
         """
-        return cls(brush="twist", at=at, angle=angle, axis=axis, radius=radius, **options)  # type: ignore[arg-type]
+        return cls(brush="twist", at=at, angle=angle, axis=axis, radius=radius, **_known(options))  # type: ignore[arg-type]
 
     @classmethod
     def scale(cls, at: Point, *, factor: float, radius: float, **options: Unpack[BrushOptions]) -> Self:
@@ -293,7 +293,7 @@ class Stroke:
         at, radius, reach, time_radius
             As for all brushes.
         """
-        return cls(brush="scale", at=at, factor=factor, radius=radius, **options)  # type: ignore[arg-type]
+        return cls(brush="scale", at=at, factor=factor, radius=radius, **_known(options))  # type: ignore[arg-type]
 
     @classmethod
     def pinch(
@@ -320,7 +320,7 @@ class Stroke:
         at, radius, poisson, reach, time_radius, strength
             As for all brushes; the strength is a part of the factor's logarithm.
         """
-        known: dict[str, Any] = {"axis": axis, "poisson": poisson, **options}
+        known: dict[str, Any] = {"axis": axis, "poisson": poisson, **_known(options)}
         return cls(brush="pinch", at=at, factor=factor, radius=radius, **known)  # type: ignore[arg-type]
 
     @classmethod
@@ -381,7 +381,7 @@ class Stroke:
         if len(pairs) > MOST_HANDLES:
             refuse("points", f"at most {MOST_HANDLES} points, pins among them", len(pairs))
         (at, drag), *also = pairs
-        return cls(at=at, by=drag, also=also, radius=radius, poisson=poisson, **options)  # type: ignore[arg-type]
+        return cls(at=at, by=drag, also=also, radius=radius, poisson=poisson, **_known(options))  # type: ignore[arg-type]
 
     @classmethod
     def push(
@@ -491,7 +491,8 @@ class Stroke:
         image = self.mirrored(np.add(self.at, other.at) / 2, across)
         ways, others = ([each.by, *each.path] for each in (image, other))
         alike = image == replace(other, at=image.at, by=image.by, path=image.path, axis=image.axis)
-        return alike and np.allclose(ways, others, rtol=0, atol=1e-6 * self.radius)
+        close = len(ways) == len(others) and np.allclose(ways, others, rtol=0, atol=1e-6 * self.radius)
+        return alike and close
 
     def symmetric(self, at: Point, normal: Point) -> tuple[Self, ...]:
         """Return the strokes that make this one symmetric about a line or a plane.
@@ -673,6 +674,12 @@ def _turns(ways: dict[int, complex], begin: float) -> tuple[dict[int, complex], 
     degrees = np.rad2deg(np.unwrap(np.angle(list(turns.values()))))
     degrees -= 360 * np.round(np.interp(begin, list(turns), degrees) / 360)
     return turns, dict(zip(turns, degrees.tolist(), strict=True))
+
+
+def _known(options: BrushOptions) -> BrushOptions:
+    if unknown := sorted(options.keys() - BrushOptions.__annotations__.keys()):
+        raise TypeError(f"unexpected keyword argument {unknown[0]!r}")
+    return options
 
 
 def _check_ends(what: str, to: object, by: object) -> None:

@@ -301,3 +301,9 @@ def test_a_compression_that_is_not_kept_is_said(tmp_path: Path) -> None:
     with pytest.warns(MetadataWarning, match="cannot take over the compression by CCITT, which becomes deflate"):
         write(tmp_path / "o.tif", read(tmp_path / "fax.tif"))
     assert (read(tmp_path / "o.tif").pixels == ink).all()
+
+
+def test_bits_in_colours(tmp_path: Path) -> None:
+    tifffile.imwrite(tmp_path / "in.tif", noise("uint8", *SIZE, 3) > 127, photometric="rgb")
+    seen = tifffile.imread(tmp_path / "in.tif")  # which does not write them as it reads them
+    np.testing.assert_array_equal(read(tmp_path / "in.tif").pixels, 255 * seen.astype(np.uint8))

@@ -123,7 +123,8 @@ class Picture:
         else:
             made = warp(pixels, extra == (2,), channels)
         if real and nodata is not None and gaps is not None and gaps.any():
-            np.copyto(made, nodata, where=np.isnan(made))
+            with np.errstate(over="ignore"):
+                np.copyto(made, nodata, where=np.isnan(made))
         header = dict(self._header)
         if regridded and tiff is not None and tiff.has_place:
             header["tiff"] = tiff.without_place()

@@ -227,6 +227,7 @@ class Page:
         with refusing(lambda error: damaged(self._path, said(error)), Exception), tifffile.TiffFile(self._path) as file:
             page = file.pages[self._number]
             pixels = np.asarray(page.asarray())
+        pixels = pixels.view(np.uint8) if pixels.dtype == bool else pixels
         pixels = np.moveaxis(pixels, 0, -1) if self.planes > 1 else pixels
         pixels = np.ascontiguousarray(pixels, pixels.dtype.newbyteorder("="))
         depth = pixels.dtype.itemsize * 8

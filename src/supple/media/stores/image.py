@@ -178,6 +178,8 @@ def _multiscale(place: Place, group: Any, attributes: Json, ndim: int | None) ->
         path = dataset["path"].strip("/")
         if not path or {"..", "."} & set(path.split("/")):
             raise place.unreadable(f"its datasets have the path {dataset['path']!r}", _MEND)
+        if not dataset["coordinateTransformations"]:
+            raise place.unreadable(f"its level {path} has no coordinateTransformations", "add a scale")
         with place.reading(f"its array {path} is missing or damaged"), quiet():
             array = group[path]
         _check_samples(place, array, f" {path}")
@@ -193,6 +195,9 @@ def _multiscale(place: Place, group: Any, attributes: Json, ndim: int | None) ->
         if not fall or before[: n - space] != after[: n - space]:
             what = f"its levels {one.path} and {other.path} have the shapes {before} and {after}"
             raise place.unreadable(what, "list the levels from the finest to the coarsest, once each")
+    if len({level.array.dtype for level in levels}) > 1:
+        types = ", ".join(str(level.array.dtype) for level in levels)
+        raise place.unreadable(f"its levels are of {types}", "give levels of one type")
     spatial = tuple(range(n - (ndim or space), n))
     name, labels = str(image.get("name") or ""), _labels(place, group)
     return StoredImage(place.address, version, axes, tuple(levels), spatial, name, attributes, labels)
@@ -212,6 +217,8 @@ def _axes(image: Json, error: Refusal) -> tuple[StoredAxis, ...]:
         name, kind, unit = str(one["name"]), one.get("type"), one.get("unit")
         kind = _GUESSED.get(name.lower(), "") if kind is None else kind
         axes.append(StoredAxis(name, kind, str(unit) if unit else None, one.get("orientation")))
+    if len({axis.name for axis in axes}) < len(axes):
+        raise error(f"its axes are named {', '.join(axis.name for axis in axes)}", "give each a name of its own")
     if not _CARRIED.fullmatch("".join(f"{axis.kind or 'other'} " for axis in axes)):
         named = ", ".join(f"{axis.name} ({axis.kind or 'no type'})" for axis in axes)
         what = f"its axes are {named}"

@@ -7,6 +7,7 @@ import os
 import secrets
 import sys
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -86,8 +87,9 @@ def stage_of(gpu: Gpu, source: Source, options: ViewOptions = _USUAL) -> ImageSt
                 "what is shown is an array of numbers, of a picture (H, W) or (H, W, C) or of a volume (Z, H, W), or a "
                 f"file, of a clip too: found {array.dtype} {array.shape}"
             )
-        _suits(name, options, "array")
-        if array.ndim == 3 and array.shape[2] > 4:
+        deep = array.ndim == 3 and array.shape[2] > 4
+        _suits(name, replace(options, points=None) if deep else options, "array")
+        if deep:
             x, y, z = (length("spacing", v) for v in point("spacing", options.spacing, (3,)))
             volume = Volume(array, Geometry(spacing=(x, y, z)), name, "array")
             return VolumeStage(gpu, volume, default_transfer(volume))
