@@ -96,15 +96,15 @@ def test_each_stroke_has_its_own_matte(run: Run, here: Path) -> None:
     refused(
         run(*one, "--matte", "small.png"), "the matte small.png is of 64 x 40 samples, and what is deformed of 64 x 48"
     )
-    refused(run(*one, "--matte", "left.png", "--matte", "none"), "--matte is given 2 times for 1 stroke")
+    refused(run(*one, "--matte", "left.png", "--matte", "none"), "--matte is given 2 times for one stroke")
     refused(run(*one, "--matte", "none.png"), "cannot read none.png")
     refused(
-        run("warp", "in.png", "bad.png", "--recipe", "r.json", "--matte", "left.png"), "--matte is for strokes given"
+        run("warp", "in.png", "bad.png", "--recipe", "r.json", "--matte", "left.png"), "--matte is for strokes, and"
     )
-    refused(run(*one, "--matte", "left.png", "--freeze-width", "1"), "the matte's width must be at least 4 samples")
+    refused(run(*one, "--matte", "left.png", "--freeze-width", "1"), "--freeze-width must be at least 4 samples")
     grey_clip("moves.mkv", discs())
     refused(run(*one, "--matte", "moves.mkv"), "is taken for a picture, and the matte moves from frame to frame")
-    refused(run(*one, "--matte", "moves.mkv", "--freeze-width", "1"), "the matte's width must be at least 4 samples")
+    refused(run(*one, "--matte", "moves.mkv", "--freeze-width", "1"), "--freeze-width must be at least 4 samples")
     noisy("in.mkv", "gray", COUNT)
     grey_clip("m.mkv", discs()[:5])
     said = "the matte m.mkv is of 64 x 48 x 5 samples, and what is deformed of 64 x 48 x 12"
