@@ -127,7 +127,7 @@ def warp(
     from supple.engine.sampling import FINEST
     from supple.files.jobs import Job
     from supple.files.recipes import check_recipe_name, write_recipe
-    from supple.media.files import is_store, same_file
+    from supple.media.files import is_store
     from supple.media.medium import holds_volumes
 
     if len(paths) < 2:
@@ -176,17 +176,11 @@ def warp(
     if save_recipe is not None:
         check_recipe_name(save_recipe, force=options.force)
 
-    def apart(others: Iterable[str | Path]) -> None:
-        kept = Path(save_recipe or "")
-        for path in [Path(each) for each in (save_field, *others) if each and save_recipe]:
-            if same_file(kept, path) or kept.resolve() == path.resolve():
-                raise SuppleError(f"--save-recipe {save_recipe} is a file that is bent or written: choose another name")
-
     if any(map(is_store, paths)):
         from supple.cli.stores import warp_stored
 
         several.check(False, options.force)
-        apart(paths)
+        _check_apart(save_recipe, [save_field, *paths])
         stored = warp_stored(console, paths, template, elements, running.to_running(), json=options.json)
         if save_recipe is not None:
             write_recipe(save_recipe, _kept(recipe, stored, reading.world), force=options.force)
@@ -206,7 +200,7 @@ def warp(
     else:
         pairs, many, left = pair(paths[:-1], paths[-1], recursive=several.recursive)
     several.check(many, options.force)
-    apart(chain(*pairs))
+    _check_apart(save_recipe, [save_field, *chain(*pairs)])
     marks = strokes.landmarks
     if many and marks is not None and os.path.isfile(marks) and not marks.lower().endswith(".xml"):
         raise SuppleError(
@@ -327,6 +321,17 @@ def _stands_for_several(source: str) -> bool:
     from supple.media.numbering import has_number
 
     return glob.has_magic(source) and not has_number(source) and not os.path.exists(source)
+
+
+def _check_apart(save_recipe: str | None, paths: Iterable[str | Path | None]) -> None:
+    """Refuse a recipe that would replace one of the files that are bent or written."""
+    from supple.media.files import same_file
+
+    if save_recipe is None:
+        return
+    for path in filter(None, paths):
+        if same_file(save_recipe, path) or Path(save_recipe).resolve() == Path(path).resolve():
+            raise SuppleError(f"--save-recipe {save_recipe} is a file that is bent or written: choose another name")
 
 
 def _facts_of(pair: Pair, made: "Warped") -> dict[str, Any]:
