@@ -50,7 +50,7 @@ class _Schema(BaseTransformInitSchema):
 
 
 class _Elastic(DualTransform):
-    """What both transforms share: their options, the recipe of a draw, and what is bent by it."""
+    """The base of both transforms: their options, the recipe of a draw, and what is bent by it."""
 
     spacing: tuple[float, ...] = (1.0, 1.0)
 

@@ -40,7 +40,7 @@ _CHANNELS = 4  # the most that the last of three axes has, to be taken for chann
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sample:
-    """What one deformation made of an image and what belongs to it; None for what was not given.
+    """An image and what belongs to it, bent by one deformation; None for what was not given.
 
     Parameters
     ----------

@@ -46,7 +46,7 @@ _PADDING = {"border": "edge", "reflection": "reflect", "zeros": "constant"}
 
 
 class _Randomized(RandomizableTransform, InvertibleTransform):
-    """What both transforms share: a draw, and its trace in what was bent, by which ``inverse`` bends it back."""
+    """The base of both transforms: a draw, and its trace in what was bent, by which ``inverse`` bends it back."""
 
     drawing: Drawing
     deformation: Deformation | None = None

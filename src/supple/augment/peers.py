@@ -1,4 +1,4 @@
-"""What the transforms of other libraries share: tensors, stacks of images, recipes as parameters."""
+"""Functions shared by the transforms of other libraries: tensors, stacks of images, recipes as parameters."""
 
 from __future__ import annotations
 

@@ -95,7 +95,7 @@ def _part(option: str, text: str) -> float:
 
 @dataclass(frozen=True)
 class Edits:
-    """What a command line does.
+    """The edits of a command line.
 
     Parameters
     ----------
@@ -519,7 +519,7 @@ class StrokeOptions:
 
 @dataclass(frozen=True)
 class _Given:
-    """What an option or a recipe makes, and its space if it says by itself that it is in millimetres."""
+    """The strokes that an option or a recipe makes, and their space if they say by themselves that it is in mm."""
 
     told: str
     strokes: "tuple[Stroke, ...]"

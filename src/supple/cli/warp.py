@@ -329,8 +329,8 @@ def _check_apart(save_recipe: str | None, paths: Iterable[str | Path | None]) ->
 
     if save_recipe is None:
         return
-    for path in filter(None, paths):
-        if same_file(save_recipe, path) or Path(save_recipe).resolve() == Path(path).resolve():
+    for path in [Path(each) for each in paths if each]:
+        if same_file(save_recipe, path) or Path(save_recipe).resolve() == path.resolve():
             raise SuppleError(f"--save-recipe {save_recipe} is a file that is bent or written: choose another name")
 
 

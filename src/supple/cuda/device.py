@@ -29,7 +29,7 @@ class CudaError(RuntimeError):
 
 
 FAILURES = CudaError, MemoryError, OSError
-"""What is raised by a GPU that fails or is full, or has no compiled kernel."""
+"""The error of a GPU that fails or is full, or has no compiled kernel."""
 
 
 @functools.cache

@@ -1,4 +1,4 @@
-"""What a displacement field does to volume: determinants, where they are not above 0, and how well two fields undo.
+"""The change of volume by a displacement field: determinants, where they are not above 0, and how well two fields undo.
 
 All walks along the first axis of the arrays, a plane or two at a time.
 """
@@ -47,7 +47,7 @@ class Consistency:
 
 @dataclass(frozen=True, slots=True)
 class FieldReport:
-    """What a displacement field does: how far it moves, and whether it folds.
+    """The effect of a displacement field: how far it moves, and whether it folds.
 
     Parameters
     ----------
@@ -84,7 +84,7 @@ class FieldReport:
 
     @property
     def folds(self) -> bool:
-        """Whether the field may fold anywhere."""
+        """True if the field may fold anywhere."""
         return self.folded > 0
 
     @property

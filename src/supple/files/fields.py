@@ -56,7 +56,7 @@ class Input(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Written:
-    """What was written, and what it was made of."""
+    """A file that was written, and its sources."""
 
     sources: tuple[MapFile, ...]
     target: MapFile

@@ -72,12 +72,12 @@ class Job:
 
     @property
     def linear_light(self) -> bool:
-        """Whether to average in linear light."""
+        """True if values are averaged in linear light."""
         return self.sampling.linear_light
 
     @cached_property
     def medium(self) -> Medium:
-        """What the source is taken for."""
+        """The medium that the source is taken for."""
         axes = [*(each.ndim for each in self.recipe.strokes[:1]), *(each.map.ndim for each in self.maps[:1])]
         axes += [self.grid.ndim or 2] if self.grid is not None else []
         known, shot = self.volume, self.clip

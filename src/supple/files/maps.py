@@ -35,7 +35,7 @@ class MapFile:
 
     @property
     def kind(self) -> transforms.Convention:
-        """What the convention's numbers are."""
+        """The meaning of the convention's numbers."""
         kind = transforms.CONVENTIONS[self.convention]
         if not self.written or kind.written is None:
             return kind

@@ -26,7 +26,7 @@ _OFFSET = "+DX,DY in pixels or percent (nose_tip+0,10%, say)"
 
 @dataclass(eq=False)
 class Places:
-    """What names and percentages of strokes stand for in a picture.
+    """The positions and lengths that names and percentages of strokes stand for in a picture.
 
     A position is a landmark's name, of the largest face, or ``NAME@2`` of the second largest; with an offset,
     ``+DX,DY``, if it has one. A percentage is of the shortest side of the picture, or of the distance of two positions.

@@ -1,4 +1,4 @@
-"""What a warp in blocks would read and write, found from the header of an input: blocks, copies, bytes, memory."""
+"""The reads and writes of a warp in blocks, found from the header of an input: blocks, copies, bytes, memory."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class Source:
 
     @property
     def is_file(self) -> bool:
-        """Whether it is no store."""
+        """True if it is no store."""
         return isinstance(self.samples, Samples)
 
     @property
@@ -69,7 +69,7 @@ class Source:
 
 @dataclass(frozen=True, slots=True)
 class Planned:
-    """What a job would do, found without reading a sample; bytes are those of decoded samples."""
+    """The work of a job, found without reading a sample; bytes are those of decoded samples."""
 
     shape: tuple[int, ...]  # of the output, of all axes
     dtype: str

@@ -75,7 +75,7 @@ class WarpedStore:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Work:
-    """What all tasks of a job share: a few kilobytes, and the fields of the map."""
+    """The data that all tasks of a job share: a few kilobytes, and the fields of the map."""
 
     place: Place  # of the input; workers may run in another folder
     samples: Any  # it is sliced

@@ -59,12 +59,12 @@ class Running:
 
     @property
     def elsewhere(self) -> bool:
-        """Whether tasks run in other processes."""
+        """True if tasks run in other processes."""
         return self.workers is not None or self.scheduler is not None
 
 
 class Runner:
-    """What does tasks: threads of this process."""
+    """A runner of tasks: threads of this process."""
 
     @property
     def slots(self) -> int:

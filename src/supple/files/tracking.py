@@ -61,7 +61,7 @@ class Tracked:
 
 
 class _Template:
-    """What is around a point in a frame, and the affine map from there to the frame that was seen last."""
+    """The samples around a point in a frame, and the affine map from there to the frame that was seen last."""
 
     def __init__(self, image: Array, at: Numbers, half: int) -> None:
         part, corner = _around(image, at, half)

@@ -174,7 +174,7 @@ class SavedField:
 
 @dataclass(frozen=True, slots=True)
 class Work:
-    """What all tasks share."""
+    """The data that all tasks share."""
 
     target: Target
     warp: Warp

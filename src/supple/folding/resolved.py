@@ -1,4 +1,4 @@
-"""What becomes of a stroke: the rows that carry it out, and what their makers share."""
+"""The result of resolving a stroke: the rows that carry it out, and functions shared by their makers."""
 
 from __future__ import annotations
 

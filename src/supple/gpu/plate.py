@@ -65,7 +65,7 @@ class _Sheet:
 
 
 class _Drawn:
-    """What is on a device, drawn through strokes into textures."""
+    """An image on a device, drawn through strokes into textures."""
 
     _laid = False
 

@@ -61,7 +61,7 @@ class Look:
 
     @property
     def core(self) -> _core.Look:
-        """The same, for the core."""
+        """The settings in the core's form."""
         return _core.Look(*(getattr(self, each.name) for each in fields(self)))
 
 

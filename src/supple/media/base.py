@@ -1,4 +1,4 @@
-"""What a video and an image sequence are while they are open."""
+"""The interface of a video and an image sequence that are open."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class Clip(Protocol):
 
     @property
     def mirrored(self) -> bool:
-        """Whether frames are mirrored for display, left to right, before they are rotated."""
+        """True if frames are mirrored for display, left to right, before they are rotated."""
 
     @property
     def aspect(self) -> Fraction | None:

@@ -1,4 +1,4 @@
-"""What a file is: a picture, a clip or a volume; decided once, by its content and name, and by what is asked for."""
+"""The kind of a file: a picture, a clip or a volume; decided once, by its content and name, and by what is asked."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ class Medium:
 
     @property
     def is_dicom(self) -> bool:
-        """Whether it is a volume in DICOM."""
+        """True if it is a volume in DICOM."""
         if self.kind != "volume" or self.layout is not None:
             return False
         from supple.media.volume import is_dicom

@@ -30,7 +30,7 @@ Singles = npt.NDArray[np.float32]
 
 
 class _Slice(NamedTuple):
-    """What a picture shows of a field: in the plane of the grid's first two axes, lengths along these."""
+    """The data of a picture of a field: in the plane of the grid's first two axes, lengths along these."""
 
     rest: Floats  # (H, W, 2), where the samples lie
     moved: Floats  # (H, W, 2), where they are moved to

@@ -17,7 +17,7 @@ COARSE = 32  # boxes of bricks along an axis, of which a camera has all in view
 Box = tuple[tuple[float, float], ...]
 """For each axis, x first, the voxels from which and to which a volume is rendered."""
 Clip = Sequence[Sequence[float | None]] | npt.NDArray[Any]
-"""The same, with None where nothing is cut away; as nested sequences, or an array of shape (3, 2)."""
+"""A box with None where nothing is cut away; as nested sequences, or an array of shape (3, 2)."""
 
 
 Plane = tuple[Sequence[float], Sequence[float]]

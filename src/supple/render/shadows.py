@@ -35,7 +35,7 @@ SKY = [np.array(way) / np.linalg.norm(way) for way in itertools.product((-1, 0, 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Shade:
-    """What keeps the light away in a scene."""
+    """The samples that keep the light away in a scene."""
 
     # (nz, ny, nx): the opacity of ``length`` millimetres at nodes of the deformed volume, of what is not cut away
     nodes: Singles

@@ -197,7 +197,7 @@ class Freeze:
 
     @property
     def told(self) -> str:
-        """What it is called in messages."""
+        """The name in messages."""
         return f"the freeze mask {shown(self.name)}" if self.name else "the freeze mask"
 
     @property

@@ -80,7 +80,7 @@ class Straighten:
 
     @property
     def has_gaps(self) -> bool:
-        """Whether the result may have empty parts."""
+        """True if the result may have empty parts."""
         return self.fit != "crop"
 
     def mapped(self, place: Callable[[Vector], Vector]) -> Self:

@@ -19,7 +19,7 @@ _PARTS = {
 
 @dataclass(frozen=True, slots=True)
 class Key:
-    """What a stroke is in a frame of a clip.
+    """The values of a stroke in a frame of a clip.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""What all gradients share: the samples around points, their weights, and λ of Mᵀ λ = g."""
+"""Functions shared by all gradients: the samples around points, their weights, and λ of Mᵀ λ = g."""
 
 from __future__ import annotations
 

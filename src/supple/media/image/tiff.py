@@ -1,4 +1,4 @@
-"""What a TIFF says of its samples, those that libvips reads wrongly or not at all, and tags that it does not write."""
+"""Tags of a TIFF about its samples, those that libvips reads wrongly or not at all, and tags that it does not write."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ _TAGS = (*PLACE, 42112, _NODATA, _INKS, 333, 334)  # and GDAL's metadata, and in
 
 @dataclass(frozen=True, slots=True)
 class Tiff:
-    """What a page of a TIFF says of its samples.
+    """The tags of a page of a TIFF about its samples.
 
     Parameters
     ----------
@@ -62,7 +62,7 @@ class Tiff:
 
     @property
     def has_place(self) -> bool:
-        """Whether there is a georeference, which holds for the grid of the file alone."""
+        """True if there is a georeference, which holds for the grid of the file alone."""
         return any(tag in self.tags for tag in PLACE)
 
     @property
@@ -76,12 +76,12 @@ class Tiff:
 
     @property
     def is_inks(self) -> bool:
-        """Whether the colours are inks other than CMYK."""
+        """True if the colours are inks other than CMYK."""
         return self.photometric == 5 and self.meaning != "cmyk"
 
     @property
     def is_saved(self) -> bool:
-        """Whether libvips saves such colours as they are."""
+        """True if libvips saves such colours as they are."""
         return self.photometric not in _UNSAVED and not self.is_inks
 
     def settings(self, lossless: bool, size: int) -> dict[str, Any]:
@@ -164,12 +164,12 @@ class Page:
 
     @property
     def is_ycbcr(self) -> bool:
-        """Whether it is in YCbCr, which libvips takes for RGB unless it is compressed as JPEG."""
+        """True if it is in YCbCr, which libvips takes for RGB unless it is compressed as JPEG."""
         return self.photometric == YCBCR and self._compression not in _JPEGS and self.planes == 1
 
     @property
     def is_plain(self) -> bool:
-        """Whether libvips reads the samples as they are, and knows what they are."""
+        """True if libvips reads the samples as they are, and knows what they are."""
         inverted = self.photometric == MINISWHITE and self.samples > 1
         lab = self.photometric in (CIELAB, ICCLAB, ITULAB) and self._kind != 3
         odd = inverted or lab or self.photometric in (MASK, _MOSAIC)
@@ -177,7 +177,7 @@ class Page:
 
     @property
     def is_usual(self) -> bool:
-        """Whether libvips reads the samples, if it is told that they are grey or RGB."""
+        """True if libvips reads the samples, if it is told that they are grey or RGB."""
         usual = self.bits in (8, 16, 32) or (self.bits in (1, 2, 4) and self.samples == 1)
         return usual and self.planes == 1
 

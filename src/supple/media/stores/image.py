@@ -67,7 +67,7 @@ class StoredImage:
 
     @property
     def is_labels(self) -> bool:
-        """Whether the metadata say that it is a label image."""
+        """True if the metadata say that it is a label image."""
         return "image-label" in ome_of(self.attributes)
 
     @property
@@ -83,7 +83,7 @@ class StoredImage:
 
     @property
     def placed(self) -> bool:
-        """Whether the axes of space have units, so that the grid is in millimetres."""
+        """True if the axes of space have units, so that the grid is in millimetres."""
         return any((self.axes[axis].unit or "").lower() not in _PIXELS for axis in self.spatial)
 
     @property

@@ -41,7 +41,7 @@ class Form(NamedTuple):
 
 
 class Convention(NamedTuple):
-    """What the numbers in files of some programs are, and the kinds of their files.
+    """The meaning of the numbers in files of some programs, and the kinds of their files.
 
     ``affine`` is the direction in which affine maps lead; fields are pull maps. ``forms`` are in order: the first is
     that of files of other suffixes. ``written`` are ``holds``, ``space`` and ``units`` as written, if others.
@@ -109,7 +109,7 @@ CONVENTIONS = {
 _SUFFIXES = tuple({suffix for row in CONVENTIONS.values() for form in row.forms for suffix in form.suffixes})
 _DOUBTFUL = dict.fromkeys((".npy", ".npz"), "a map of positions, as of OpenCV's")
 _DOUBTFUL |= dict.fromkeys((".tif", ".tiff", ".png"), "an STMap")
-"""What holds maps of one convention, and as often something else: the convention is given."""
+"""Files that hold maps of one convention, and as often something else: the convention is given."""
 _WARPS = (2006, 2018)  # intent codes of FNIRT and topup
 _COLOURS = (128, 2304)  # the datatypes RGB24 and RGBA32 of NIfTI
 

@@ -1,4 +1,4 @@
-"""What files of transforms hold, and what their readers and writers share."""
+"""Contents of files of transforms, and functions shared by their readers and writers."""
 
 from __future__ import annotations
 

@@ -33,7 +33,7 @@ DATASETS, MIF, MGZ, MORPHS = (".head", ".brik", ".brik.gz"), (".mif", ".mif.gz")
 
 
 class Vectors(NamedTuple):
-    """What the vectors of a convention's fields are, and what NIfTI files of it say.
+    """The meaning of the vectors of a convention's fields, and the tags of its NIfTI files.
 
     ``space`` is that of their coordinates; ``absolute`` are positions in the input image, others displacements.
     ``codes`` are the intent codes that are read; ``axes``, ``intent`` and its ``name`` are what is written. ``gaps`` is

@@ -66,7 +66,7 @@ class Volume:
 
     @property
     def is_segmentation(self) -> bool:
-        """Whether its header lists segments, as 3D Slicer's segmentations do (``.seg.nrrd``)."""
+        """True if its header lists segments, as 3D Slicer's segmentations do (``.seg.nrrd``)."""
         return isinstance(self.header, dict) and any(_SEGMENT.fullmatch(name) for name in self.header)
 
     def rescaled(self) -> Array:

@@ -218,7 +218,7 @@ class Document:
 
     @property
     def timed(self) -> bool:
-        """Whether strokes are in time, with points of three numbers; otherwise, those of a clip are in every frame."""
+        """True if strokes are in time, with points of three numbers; otherwise, those of a clip are in every frame."""
         return self._is_timed(self.state)
 
     @timed.setter
@@ -401,7 +401,7 @@ class Document:
 
     @property
     def freeze(self) -> Freeze:
-        """The same; in a clip, where nothing was frozen, that of all its frames."""
+        """The mask of the state; in a clip, where nothing was frozen, that of all its frames."""
         known = self.state.mask
         if known is not None:
             return known

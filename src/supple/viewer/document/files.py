@@ -78,7 +78,7 @@ class Autosave:
 
     @property
     def due(self) -> bool:
-        """Whether there are changes that are not saved yet."""
+        """True if there are changes that are not saved yet."""
         return not self._ended and self._now() != self._kept
 
     def tick(self) -> None:

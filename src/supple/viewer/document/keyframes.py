@@ -14,7 +14,7 @@ from supple.strokes.keys import Key, position, value
 Place = tuple[float, ...]
 
 Part = Literal["place", "strength"]
-"""What is animated: where a stroke is, how it is turned and how large it is; or how strong it is."""
+"""Properties that are animated: where a stroke is, how it is turned and how large it is; or how strong it is."""
 PARTS: Mapping[Part, tuple[str, ...]] = {"place": ("at", "angle", "scale"), "strength": ("strength",)}
 """For each part, the numbers of a key."""
 

@@ -1,4 +1,4 @@
-"""What windows keep for the next ones: a file in the user's folder for settings."""
+"""Settings that windows keep for the next ones: a file in the user's folder for settings."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ RED: Colour = (0.91, 0.19, 0.19, 0.45)
 
 @dataclass(frozen=True, slots=True)
 class Settings:
-    """What a window begins with."""
+    """The settings with which a window begins."""
 
     sections: dict[str, bool] = field(default_factory=dict)  # whether those that were folded or opened are open
     recent: tuple[str, ...] = ()  # the files that were opened last, the newest first

@@ -19,7 +19,7 @@ from supple.viewer.tools.brushes import VideoTools
 from supple.viewer.tools.drawing import CLICK, Pair
 
 Mark = tuple[int, Part]
-"""What is drawn of a key: its frame, and its position or its strength."""
+"""The parts of a key that are drawn: its frame, and its position or its strength."""
 _ROW = 16.0  # logical pixels of the lane's row of positions, above the curves
 _NEAR = 7.0  # the largest distance of the pointer from a mark
 _MOST = 400  # samples of a curve

@@ -1,4 +1,4 @@
-"""What is seen on the planes of a volume: it, a fixed one that it is compared with, and a segmentation of it."""
+"""Layers on the planes of a volume: it, a fixed one that it is compared with, and a segmentation of it."""
 
 from __future__ import annotations
 

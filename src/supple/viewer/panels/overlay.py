@@ -1,4 +1,4 @@
-"""What lies over the image and its views: marks, strokes, rings, and the orientation cube; and the bars below it."""
+"""Overlays on the image and its views: marks, strokes, rings, and the orientation cube; and the bars below it."""
 
 from __future__ import annotations
 

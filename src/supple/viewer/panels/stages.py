@@ -625,7 +625,7 @@ class VolumeStage:
 
     @property
     def previews(self) -> bool:
-        """Whether the CPU renders a warped volume, of which there is a preview while strokes change."""
+        """True if the CPU renders a warped volume, of which there is a preview while strokes change."""
         return self._plain.gpu is None
 
     def preview(self, deformation: Deformation, beside: int = 0) -> Scene:

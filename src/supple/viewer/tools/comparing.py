@@ -22,7 +22,7 @@ SHARES = {
     "checkerboard": ("Squares", "The side of a square", 2.0, 100.0, "%.0f mm"),
     "difference": ("Contrast", "What a difference is multiplied by", 0.5, 8.0, "\u00d7 %.1f"),
 }
-"""What each of them can set: its name, what it is, its least and its largest value, and its form."""
+"""The setting of each of them: its name, what it is, its least and its largest value, and its form."""
 
 
 @dataclass(slots=True)
@@ -37,7 +37,7 @@ class Comparison:
 
     @property
     def beside(self) -> bool:
-        """Whether both have planes of their own."""
+        """True if both have planes of their own."""
         return self.mode == "beside"
 
     @property

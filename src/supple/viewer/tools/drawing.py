@@ -1,4 +1,4 @@
-"""What the pointer holds, and what a drag of it draws in a document."""
+"""Things that the pointer holds, and the strokes that a drag of it draws in a document."""
 
 from __future__ import annotations
 
@@ -324,7 +324,7 @@ class Drawing(ABC):
 
     @property
     def next_stroke(self) -> Stroke:
-        """What the brush would make at the first sample, before any drag."""
+        """The stroke that the brush would make at the first sample, before any drag."""
         return self._begun((0.0,) * self.document.deformation.ndim)
 
     @property

@@ -1,4 +1,4 @@
-"""What hands and keys do, in words: what the window shows on `?` and F1."""
+"""The effects of hands and keys, in words, which the window shows on `?` and F1."""
 
 from __future__ import annotations
 

@@ -168,7 +168,7 @@ class Pane:
 
 @dataclass(frozen=True, slots=True)
 class Sight:
-    """What is seen of a volume's planes."""
+    """The crosshair, and the windows of values, of a volume's planes."""
 
     cross: Point  # the crosshair, in voxels, x first: planes go through the voxel that is nearest
     window: Pair  # the values that are black and white

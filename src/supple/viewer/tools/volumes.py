@@ -133,7 +133,7 @@ class VolumeTools(Tools[Camera]):
 
     @property
     def busy(self) -> bool:
-        """Whether a button is down."""
+        """True if a button is down."""
         return self._gesture is not None
 
     def surface(self, place: Pair) -> Pick | None:
