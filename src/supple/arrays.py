@@ -190,7 +190,7 @@ def warp_picture(
         low, high = np.iinfo(dtype).min, np.iinfo(dtype).max
         if wrong := [value for value in np.ravel(sampling.fill).tolist() if value < low or value > high]:
             refuse("fill", f"from {low} to {high} for the {dtype} of {name or 'the picture'}", wrong[0])
-    fill = np.asarray(sampling.filled(count, dtype, finite=False).fill)
+    fill = np.asarray(sampling.fills(count, dtype, finite=False))
 
     def warp(pixels: Array, alpha: bool, channels: list[int]) -> Array:
         nonlocal found

@@ -153,11 +153,11 @@ class Warp:
         space = self.space(block.box)
         work = work_of((*space.whole, *tail), part.dtype, space, self.sampling, self.alpha)
         # Items are the groups of one frame: their map is solved once.
-        fill = np.tile(work.sampling.fill, len(part))
+        fill = np.ravel(work.sampling.fill).tolist()
         work = replace(
             work,
             layout=replace(work.layout, groups=work.layout.groups * len(part)),
-            sampling=replace(work.sampling, fill=tuple(fill.tolist())),
+            sampling=replace(work.sampling, fill=fill * len(part) if len(fill) > 1 else fill[0]),
         )
         frames, outs = _planes(part.astype(kind, copy=False), n), _planes(result, n)
         corner = (block.part[-1][0], block.part[-2][0], block.part[0][0] if n == 3 else 0)

@@ -251,7 +251,7 @@ def warp(
     timed = space.ndim == 3 and not nearest  # otherwise a pixel is of one frame, whatever is asked for
     pointer = 0
     if sampling.outside == "constant":
-        fill = np.array(sampling.fill, np.float64)
+        fill = np.full(group.channels, sampling.fill)
         held = Memory(fill.nbytes, told.there.stream)
         held.upload(fill)
         told.kept.append(fill)

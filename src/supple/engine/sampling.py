@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
-from copy import copy
 from dataclasses import dataclass, replace
 from typing import Any, TypedDict
 
@@ -13,7 +12,7 @@ import numpy.typing as npt
 
 from supple import _core
 from supple.errors import FoldWarning, OutsideWarning, SuppleError, ToleranceWarning, argument
-from supple.space.checks import assign, choice, flag, number, refuse
+from supple.space.checks import Vector, assign, choice, flag, number, refuse
 
 # Codes shared with the core and CUDA.
 FILTERS = {"auto": 3, "cubic": 2, "linear": 1, "nearest": 0, "labels": 3}  # shares of labels are those of "auto"
@@ -130,15 +129,11 @@ class Sampling:
         between = "cubic" if self.filter in ("auto", "cubic", "labels") else None
         return replace(self, between=between, time_filter=self.filter == "auto")
 
-    def filled(self, channels: int, dtype: np.dtype[Any], *, finite: bool = True) -> Sampling:
-        """Return a copy with one fill value for each channel, in the range of the sample type.
+    def fills(self, channels: int, dtype: np.dtype[Any], *, finite: bool = True) -> Vector:
+        """Return the fill value of each channel, in the range of the sample type.
 
         Averages take finite ones only; `supple.arrays.warp_array` fills with others afterwards.
         """
-        made = copy(self)  # all else is checked
-        if isinstance(self.fill, float | int) and self.fill == 0:  # the default, without a detour
-            assign(made, fill=(0.0,) * channels)
-            return made
         values = np.asarray(self.fill)
         if values.shape not in ((), (1,), (channels,)):
             refuse("fill", f"a number, or {channels} of them, one for each channel", self.fill)
@@ -147,8 +142,7 @@ class Sampling:
             refuse("fill", f"finite for {place}", self.fill)
         if dtype.kind in "iu":
             values = np.clip(values, np.iinfo(dtype).min, np.iinfo(dtype).max)
-        assign(made, fill=tuple(np.broadcast_to(values, (channels,)).tolist()))
-        return made
+        return tuple(np.broadcast_to(values, (channels,)).tolist())
 
 
 DEFAULT = Sampling()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any, Protocol
 
@@ -241,8 +241,9 @@ def work_of(
 ) -> Work:
     """Return the work on an array of a shape and type: an image or frames, perhaps with channels last.
 
-    ``alpha`` says whether the last channel is opacity; it is guessed if None. The fill value gets one number for each
-    channel, which must be ``finite`` unless that is False. SuppleError if the array, or the fill value, does not fit.
+    ``alpha`` says whether the last channel is opacity; it is guessed if None. A fill value other than 0 gets one number
+    for each channel, which must be ``finite`` unless that is False. SuppleError if the array, or the fill value, does
+    not fit.
     """
     if dtype.kind not in "biuf" or dtype.itemsize > 8:
         refuse("source", "an array of bool, integers or floats of up to 64 bits", told=f"dtype {dtype}")
@@ -262,7 +263,9 @@ def work_of(
         raise SuppleError(f"{argument('linear_light')} needs 8 or 16 bit colours or floats, found {dtype}")
     white = float(np.iinfo(dtype).max) if dtype.kind in "iu" else 1.0
     layout = Layout((Group(space.shape, channels, alpha=straight),), dtype.newbyteorder("="), white)
-    return Work(space, layout, sampling.filled(channels, dtype, finite=finite))
+    if sampling.fill != 0.0:  # the default fits all
+        sampling = replace(sampling, fill=sampling.fills(channels, dtype, finite=finite))
+    return Work(space, layout, sampling)
 
 
 class Deforming(Protocol):

@@ -103,7 +103,7 @@ def warp(
     if strokes_wanted and not tensor.is_floating_point():
         refuse("tensor", "of floats where strokes need gradients", told=str(tensor.dtype))
     channels = tensor.shape[-axes - 1] if tensor.ndim > axes else 1
-    colours = sampling.filled(channels, np.dtype(np.float64)).fill
+    colours = sampling.fills(channels, np.dtype(np.float64))
     if tensor.numel() == 0:
         return tensor.clone()
     parts = tensor.reshape(len(given), -1, *shape)
