@@ -608,45 +608,6 @@ private:
 
 // ---- where a volume can be seen at all -----------------------------------------------------------------------------
 
-// The largest part of what is seen, of voxels that touch by their faces; of equal ones, the first. It is found by
-// marking all of them, and then marked alone: a label of each voxel would take eight times the memory.
-inline void largest(const bool* seen, const int64_t* n, bool* out) {
-    const int64_t strides[3] = {1, n[0], n[0] * n[1]}, total = strides[2] * n[2];
-    std::vector<int64_t> front, next;
-    // Mark the part around a voxel, front after front, and return the number of its voxels.
-    auto mark = [&](int64_t first) {
-        int64_t voxels = 0;
-        out[first] = true;
-        front.assign(1, first);
-        while (!front.empty()) {
-            voxels += int64_t(front.size());
-            next.clear();
-            for (int64_t at : front)
-                for (int axis = 0; axis < 3; axis++) {
-                    const int64_t place = at / strides[axis] % n[axis];
-                    for (int way : {-1, 1}) {
-                        if (place + way < 0 || place + way >= n[axis]) continue;
-                        const int64_t beside = at + way * strides[axis];
-                        if (!seen[beside] || out[beside]) continue;
-                        out[beside] = true;
-                        next.push_back(beside);
-                    }
-                }
-            front.swap(next);
-        }
-        return voxels;
-    };
-    for (int64_t i = 0; i < total; i++) out[i] = false;
-    int64_t best = -1, most_voxels = 0;
-    for (int64_t first = 0; first < total; first++) {
-        if (!seen[first] || out[first]) continue;
-        const int64_t voxels = mark(first);
-        if (voxels > most_voxels) best = first, most_voxels = voxels;
-    }
-    for (int64_t i = 0; i < total; i++) out[i] = false;
-    if (best >= 0) mark(best);
-}
-
 // The bricks of the deformed volume that show any visible one of the original, by bounds of their displacement. Bricks
 // of the original are `fine` voxels wide: narrower ones give closer bounds, as a displaced brick covers several.
 // `slack` is the distance of points from the lattice's bounds, in voxels.

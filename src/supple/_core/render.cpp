@@ -231,11 +231,6 @@ void brick_distances(Solid<const bool> seen, Solid<uint8_t> out) {
     to_distances(n, out.data());
 }
 
-void largest_part(Solid<const bool> seen, Solid<bool> out) {
-    if (sizes(seen) != sizes(out)) throw nb::value_error("out must be of the shape of seen");
-    unlocked([&] { largest(seen.data(), sizes(seen).data(), out.data()); });
-}
-
 void brick_moved(Array<const float, -1, -1, -1, -1> nodes, int step, Solid<const bool> seen, int fine, float slack,
                  Solid<bool> out) {
     const std::array<int64_t, 3> n = {(int64_t)nodes.shape(2), (int64_t)nodes.shape(1), (int64_t)nodes.shape(0)};
@@ -265,7 +260,6 @@ void bind_render(nb::module_& m) {
     m.def("block_means", &mean_blocks, "samples"_a, "wide"_a, "table"_a, "low"_a, "scale"_a, "out"_a,
           "Find the mean of a table's entries in blocks of samples.");
     m.def("brick_distances", &brick_distances, "seen"_a, "out"_a, "Find how many bricks away the next seen one is.");
-    m.def("largest_part", &largest_part, "seen"_a, "out"_a, "Find the largest part of what is seen that is connected.");
     m.def("brick_moved", &brick_moved, "nodes"_a, "step"_a, "seen"_a, "fine"_a, "slack"_a, "out"_a,
           "Find the bricks of a deformed volume that show what is seen of the volume.");
     m.def("look_up", &look_up, "samples"_a, "points"_a, "out"_a, "labelled"_a = false,

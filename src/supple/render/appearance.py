@@ -15,7 +15,7 @@ from supple.arrays import warp_array
 from supple.deformation import Deformation
 from supple.engine.sampling import Sampling
 from supple.engine.work import Array
-from supple.errors import SuppleError
+from supple.errors import SuppleError, need
 from supple.gpu.solid import Lattice
 from supple.render.box import Clip, box_of
 from supple.render.camera import Projection
@@ -114,6 +114,19 @@ def is_hounsfield(low: float, high: float) -> bool:
     return low <= -800 and high >= 200
 
 
+def _parts(seen: npt.NDArray[np.uint8]) -> tuple[Array, npt.NDArray[np.intp]]:
+    """Return the number of the part of each voxel that is 1, of voxels that touch by their faces, and their sizes.
+
+    The number 0 is that of all other voxels.
+    """
+    need("volume", "parts of volumes", "SimpleITK")
+    import SimpleITK
+
+    itk: Any = SimpleITK
+    labels = itk.GetArrayFromImage(itk.ConnectedComponent(itk.GetImageFromArray(seen)))
+    return labels, np.bincount(labels.reshape(-1))
+
+
 def without_table(samples: Array, spacing: Sequence[float]) -> tuple[Array, float]:
     """Return a CT without what is thin beside the body, such as a table or a head holder, and how much that was.
 
@@ -128,18 +141,17 @@ def without_table(samples: Array, spacing: Sequence[float]) -> tuple[Array, floa
     spacing : sequence of float
         In millimetres, x first.
     """
+    dense = (samples >= SKIN).astype(np.uint8)
+    labels, sizes = _parts(dense)
     import SimpleITK
 
     itk: Any = SimpleITK
-    dense = itk.GetImageFromArray((samples >= SKIN).astype(np.uint8))
-    labels = itk.GetArrayFromImage(itk.ConnectedComponent(dense))
-    sizes = np.bincount(labels.reshape(-1))
     if len(sizes) < 3:
         return samples, 0.0
     body = int(sizes[1:].argmax()) + 1
     radius = [max(1, round(_THIN / step)) for step in spacing]
     # Of numbers 0 and 1 that is a binary erosion, and takes less than half of its time.
-    core = itk.GetArrayFromImage(itk.GrayscaleErode(dense, radius, itk.sitkBox))
+    core = itk.GetArrayFromImage(itk.GrayscaleErode(itk.GetImageFromArray(dense), radius, itk.sitkBox))
     own = labels == body
     ends = (np.flatnonzero(own.any(axis=tuple({0, 1, 2} - {axis})))[[0, -1]] for axis in range(3))
     inner = np.bincount(labels[tuple(slice(a, b + 1) for a, b in ends)].reshape(-1), minlength=len(sizes))
@@ -270,9 +282,9 @@ def largest(samples: Array, transfer: Transfer | str, density: tuple[float, floa
     """
     ready, seen = _hiding(samples, transfer, density)
     shown = np.stack([seen.visible(slab, slab) for slab in ready])
-    kept = np.empty(shown.shape, np.bool_)
-    _core.largest_part(shown, kept)
-    hides = shown & ~kept
+    parts, sizes = _parts(shown.astype(np.uint8))
+    sizes[0] = 0
+    hides = shown & (parts != sizes.argmax())
     if samples.ndim == 4 or seen.labels is not None:
         return np.where(hides.reshape(hides.shape + (1,) * (samples.ndim - 3)), np.zeros((), samples.dtype), samples)
     hidden = ready[ready < seen.threshold].max(initial=seen.range[0])
