@@ -12,6 +12,7 @@ from hypothesis import settings
 
 ALL = os.environ.get("SUPPLE_TEST_ALL") == "1"
 EVERY = int(os.environ.get("SUPPLE_TEST_EVERY", "1"))  # under sanitizers, where all is slow, one case in some
+CASES = 16  # and of a test at most so many cases
 
 left_out = 0
 """How many rows of full products this process knows of that are not tested in it."""

@@ -344,7 +344,7 @@ def sanitize(tests: Sequence[str]) -> int:
     }
     print(
         f"Watching memory and undefined behaviour: the core ({built.stem.partition('.')[0]}), and kernels for CUDA, "
-        f"compiled for this processor; one case in {EVERY} of {', '.join(tests or SANITIZED)}",
+        f"compiled for this processor; some cases of {', '.join(tests or SANITIZED)}",
         flush=True,
     )
     # Reports are written by C, past what Python's sys.stderr is: of a test that they end, pytest would keep them.
