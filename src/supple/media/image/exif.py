@@ -42,6 +42,12 @@ class Value:
     kind: int
     data: bytes
 
+    @property
+    def integers(self) -> list[int]:
+        """The numbers, if they are integers without sign; none of other types."""
+        size = {1: 1, 3: 2, 4: 4}.get(self.kind)
+        return np.frombuffer(self.data, f"<u{size}").tolist() if size else []
+
 
 # an entry as stored in a file, a value to be laid out, or a folder below
 Folder: TypeAlias = "dict[int, bytes | Value | Folder]"
