@@ -39,30 +39,15 @@ _TAGS = (*PLACE, 42112, _NODATA, _INKS, 333, 334)  # and GDAL's metadata, and in
 
 @dataclass(frozen=True, slots=True)
 class Tiff:
-    """The tags of a page of a TIFF about its samples.
+    """The tags of a page of a TIFF about its samples."""
 
-    Parameters
-    ----------
-    photometric : int
-        The meaning of the colours, by TIFF's code.
-    extra : tuple of int
-        That of each channel above the colours: 0 data, 1 opacity by which the colours are multiplied, 2 opacity.
-    meaning : str
-        The colours in libvips' terms; empty for grey and RGB.
-    options : dict
-        The settings of libvips' saver for compression and tiles.
-    tags : dict
-        Tags that libvips does not keep: georeference, NoData, inks.
-    unkept : str
-        The name of a compression in place of which deflate is used; empty if it is kept.
-    """
-
-    photometric: int = 1
+    photometric: int = 1  # the meaning of the colours, by TIFF's code
+    # of each channel above the colours: 0 data, 1 opacity by which the colours are multiplied, 2 opacity
     extra: tuple[int, ...] = ()
-    meaning: str = ""
-    options: dict[str, Any] = field(default_factory=dict)
-    tags: Folder = field(default_factory=dict)
-    unkept: str = ""
+    meaning: str = ""  # the colours in libvips' terms; empty for grey and RGB
+    options: dict[str, Any] = field(default_factory=dict)  # of libvips' saver, for compression and tiles
+    tags: Folder = field(default_factory=dict)  # that libvips does not keep: georeference, NoData, inks
+    unkept: str = ""  # the name of a compression in place of which deflate is used; empty if it is kept
 
     @property
     def has_place(self) -> bool:
