@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+import tempfile
 import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
@@ -466,9 +467,10 @@ def write(
             finish(temporary, image, form, sized)
             return
         ends = parts(len(array), array.nbytes, threads(), options)
-        first, *rest = [image.crop(0, a, image.width, b - a) for a, b in ends] if len(ends) > 1 else [image]
-        saves: list[Callable[[], Any]] = [partial(first.tiffsave, os.fsencode(temporary), **options)]
-        saves += [partial(each.tiffsave_buffer, **options | {"keep": 0}) for each in rest]
-        _, *more = together(saves, [first, *rest])
+        images = [image.crop(0, a, image.width, b - a) for a, b in ends] if len(ends) > 1 else [image]
         added = exif.for_tiff(header.get("exif-data", b""), *array.shape[1::-1])
-        tagged(temporary, tiff, added, sized, more)
+        with tempfile.TemporaryDirectory(prefix=".", dir=temporary.parent) as folder:
+            names = [temporary, *(Path(folder, str(k)) for k in range(1, len(images)))]
+            saves = zip(names, images, strict=True)
+            together([partial(each.tiffsave, os.fsencode(name), **options) for name, each in saves], images)
+            tagged(temporary, tiff, added, sized, names[1:])

@@ -133,7 +133,7 @@ class Reader:
             data = entry[-form.word :][:size]
         else:
             data = self.at(form.number(entry[-form.word :]), size) if size <= self.room else b""
-        if len(data) < size:
+        if kind not in _SIZES or len(data) < size:
             self.whole = False
             return None
         self.room -= size

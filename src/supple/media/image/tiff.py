@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import io
 import itertools
 import mmap
 import os
+import shutil
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, NoReturn
@@ -247,23 +247,26 @@ def parts(height: int, size: int, threads: int, options: dict[str, Any]) -> list
     return list(itertools.pairwise(ends))
 
 
-def _appended(path: PathLike, parts: Sequence[bytes]) -> Folder:
+def _appended(path: PathLike, parts: Sequence[PathLike]) -> Folder:
     """Append TIFFs of further rows to a file; return the tags that make all one page."""
     numbers: dict[int, list[int]] = {}
     with open(path, "rb+") as file:
-        for part in (b"", *parts):
-            base = file.seek(0, os.SEEK_END) if part else 0
-            file.write(part)
-            reader = Reader(io.BytesIO(part) if part else file)
-            for entry in reader.entries(reader.first)[0]:
-                tag, value = reader.form.number(entry[:2]), reader.value(entry)
-                if tag in (_LENGTH, *_OFFSETS, *_COUNTS) and value is not None:
-                    numbers.setdefault(tag, []).extend(n + base * (tag in _OFFSETS) for n in value.integers)
+        for part in (path, *parts):
+            base = file.seek(0, os.SEEK_END) if part is not path else 0
+            with open(part, "rb") as held:
+                reader = Reader(held)
+                for entry in reader.entries(reader.first)[0]:
+                    tag, value = reader.form.number(entry[:2]), reader.value(entry)
+                    if tag in (_LENGTH, *_OFFSETS, *_COUNTS) and value is not None:
+                        numbers.setdefault(tag, []).extend(n + base * (tag in _OFFSETS) for n in value.integers)
+                if part is not path:
+                    held.seek(0)
+                    shutil.copyfileobj(held, file)
     numbers[_LENGTH] = [sum(numbers[_LENGTH])]
     return {tag: Value(4, np.array(some, "<u4").tobytes()) for tag, some in numbers.items()}
 
 
-def tagged(path: PathLike, tiff: Tiff, added: Folder, sized: bool, parts: Sequence[bytes] = ()) -> None:
+def tagged(path: PathLike, tiff: Tiff, added: Folder, sized: bool, parts: Sequence[PathLike] = ()) -> None:
     """Write the tags that libvips does not, in all pages of a TIFF, and correct those that it makes up.
 
     ``parts`` are TIFFs of further rows, which become part of the page.
