@@ -20,7 +20,7 @@ from supple.media.image.formats import Array, damaged
 _BITS, _COMPRESSION, _PHOTOMETRIC, _SAMPLES, _PLANAR = 258, 259, 262, 277, 284
 _PREDICTOR, _TILE_WIDTH, _TILE_HEIGHT, _INKS, _EXTRA, _FORMAT = 317, 322, 323, 332, 338, 339
 _UNIT, _LENGTH, _OFFSETS, _COUNTS = 296, 257, (273, 324), (279, 325)
-_LEAST, _MOST = 1 << 24, 2_000_000_000  # bytes of a picture that is compressed in parts
+_LEAST, _MOST, _AT_ONCE = 1 << 24, 2_000_000_000, 8  # bytes of a picture that is compressed in parts, and these
 MINISWHITE, RGB, YCBCR, CIELAB, ICCLAB, ITULAB = 0, 2, 6, 8, 9, 10
 MASK, _MOSAIC = 4, 32803
 # by photometric interpretation; others have three, inks their own
@@ -242,7 +242,7 @@ def parts(height: int, size: int, threads: int, options: dict[str, Any]) -> list
     step = options.get("tile_height", 128)  # libvips compresses so many rows together
     count = -(-height // step)
     able = _LEAST < size < _MOST and "page_height" not in options and not options.get("bigtiff")
-    some = min(threads, count) if able else 1
+    some = min(threads, count, _AT_ONCE) if able else 1
     ends = [min(k * count // some * step, height) for k in range(some + 1)]
     return list(itertools.pairwise(ends))
 
