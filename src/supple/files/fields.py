@@ -123,13 +123,26 @@ def invert_file(
 ) -> InvertedFile:
     """Invert a file of a field, of affine maps, or of several of these.
 
-    One field is inverted as `Field.invert` does, with its ``tolerance``, on its own grid or on that of the reference,
-    which a B-spline needs; several maps, as their inverses in reverse order, sampled as one field; affine maps alone,
-    exactly: for one of FSL, the reference is the output image. The inverse has the convention of the source by default.
+    One field is inverted as `Field.invert` does, on its own grid or on that of the reference, which a B-spline needs;
+    several maps, as their inverses in reverse order, sampled as one field; affine maps alone, exactly. The inverse has
+    the convention of the source by default.
 
-    ``error`` and ``status`` are images of `Inverted.error` (float32) and `Inverted.status` (uint8), on the grid of the
-    inverse, of one field. In NIfTI, the largest float32 (3.4028235e38) stands in place of inf, which ITK reads there as
-    0. ``report`` is a JSON file of the figures. FoldWarning and OutsideWarning if the inverse is not exact everywhere.
+    Parameters
+    ----------
+    source, target, convention, to, reference, image, force
+        See above; for an affine map of FSL, the reference is the output image.
+    tolerance : float
+        As in `Field.invert`.
+    error, status : str or os.PathLike, optional
+        Images of `Inverted.error` (float32) and `Inverted.status` (uint8), on the grid of the inverse; of one field. In
+        NIfTI, the largest float32 (3.4028235e38) stands in place of inf, which ITK reads there as 0.
+    report : str or os.PathLike, optional
+        A JSON file of the figures.
+
+    Warns
+    -----
+    FoldWarning, OutsideWarning
+        If the inverse is not exact everywhere.
     """
     began = time.perf_counter()
     outputs = [path for path in (target, error, status, report) if path is not None]

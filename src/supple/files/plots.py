@@ -51,13 +51,47 @@ def plot_file(
     plane: str | None = None,
     reference: PathLike | None = None,
 ) -> Deformation:
-    """Plot the effect of strokes, fields and affine maps on a file, as PNG, SVG or PDF; return the deformation.
+    """Plot the effect of strokes, fields and affine maps on a file.
 
-    ``what`` is one of `supple.plot.WHATS`; of a clip also ``"slice"``, a column ``x`` or a row ``y`` over time, and
-    ``"sheet"``, some frames before and after, from the range with displacements of half a pixel; all else shows one
-    ``frame``. ``plane`` is that of a volume, as in `supple.plot.volume.draw_volume`, and ``reference`` another volume,
-    on whose grid the output is. With ``progress``, that of a clip is shown on a terminal. ``fit`` and ``maps`` are as
-    in `supple.warp_file`. SuppleError if the source cannot be read, plotted or written.
+    Parameters
+    ----------
+    source : str or os.PathLike
+        An image, a video, a pattern or a folder of frames, or a volume.
+    target : str or os.PathLike
+        A PNG, SVG or PDF file.
+    recipe : Recipe
+        The strokes.
+    what : str
+        One of `supple.plot.WHATS`; of a clip also ``"slice"``, a column or a row over time, and ``"sheet"``, some
+        frames before and after, from the range with displacements of half a pixel.
+    frame : int, optional
+        The frame of a clip to plot.
+    x, y : int, optional
+        The column, or row, of a slice.
+    clip : ClipOptions, optional
+        Options for clips.
+    force : bool
+        Whether an existing file may be replaced.
+    progress : bool
+        Whether to show the progress of a clip on a terminal.
+    fit, maps
+        As in `supple.warp_file`.
+    volume : VolumeOptions, optional
+        Options for reading a volume.
+    plane : str, optional
+        The plane of a volume, as in `supple.plot.volume.draw_volume`.
+    reference : str or os.PathLike, optional
+        Another volume, on whose grid the output is.
+
+    Returns
+    -------
+    Deformation
+        The strokes on the file's shape.
+
+    Raises
+    ------
+    SuppleError
+        If the source cannot be read, plotted or written.
     """
     choice("what", what, (*WHATS, "slice", "sheet"))
     options = clip or ClipOptions()

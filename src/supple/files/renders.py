@@ -48,38 +48,86 @@ LIGHTLESS = (".png", ".tif", ".tiff", ".webp", ".avif")  # formats that hold opa
 
 @dataclass(frozen=True, slots=True)
 class RenderOptions:
-    """Options of a rendered volume; those of `supple.render.scene.Scene` are as there."""
+    """Options of a rendered volume.
 
-    # a preset's name, or a file: JSON, 3D Slicer's (.vp), or a colour table of labels (.ctbl, .txt); by default, the
-    # preset that fits the values, and the colours of "labels" for a label map
+    Parameters
+    ----------
+    transfer : str, TransferFunction or LabelColours, optional
+        A preset's name, or a file: JSON, 3D Slicer's (``.vp``), or a colour table of labels (``.ctbl``, ``.txt``); by
+        default, the preset that fits the values, and the colours of ``"labels"`` for a label map.
+    density : (float, float), optional
+        The visible range of values or labels.
+    clip : three of (float, float), optional
+        The voxels that are rendered, as in `supple.render.scene.Scene`.
+    crop : three of (float, float), optional
+        The voxels of the original that are rendered, where the strokes move them: `supple.render.appearance.cropped`.
+    plane, projection, silhouettes, shadows
+        As in `supple.render.scene.Scene`.
+    meshes : sequence of MeshFile
+        Meshes and contours that are rendered with the volume, and move with it.
+    convention : str, optional
+        The coordinates of those that do not say theirs, as in `supple.files.meshes.read_surfaces`.
+    table : bool
+        Whether a preset of CT shows what lies apart from the body, too: `supple.render.appearance.without_table`.
+    largest : bool
+        Whether only the largest connected part of what is visible is rendered (`supple.render.appearance.largest`).
+    camera : Camera
+        By default, all that is visible is in view.
+    size : (int, int)
+        Rows and columns of the image.
+    step : float, optional
+        The step along a ray, in millimetres; by default, as in `supple.render.scene.Scene`.
+    mode : str
+        ``"buffered"`` or ``"exact"``: see `supple.render.scene.Scene`. ``"hybrid"`` is ``"buffered"`` here.
+    shaded : bool
+    annotate : bool
+        Whether a scale bar and the letters of the patient's sides are drawn: `supple.render.annotate.annotated`.
+    legend : bool
+        Whether the names of labels are listed with their colours, at the upper left.
+    background : (float, float, float), optional
+        sRGB from 0 to 1; by default, images are transparent where they are empty, and videos black.
+    supersampling : int
+        Rays along each side of a pixel.
+    turntable : int, optional
+        The number of images of a turntable: as a video, or with a number in the name.
+    rate : float, optional
+        Images a second of that video; by default, 24.
+    what : str
+        ``"picture"``, or ``"inversions"``: the number of evaluations of T⁻¹ along each ray.
+    time : int
+        The volume of a series, from 0.
+    device : str
+        ``"cpu"``, ``"gpu"`` or ``"auto"``; see `supple.render.scene.Scene`.
+    save_transfer : str or os.PathLike, optional
+        The file for the transfer function that is used: ``.json``, or ``.vp`` for 3D Slicer; of labels, ``.ctbl``.
+    """
+
     transfer: Transfer | PathLike | None = None
     density: tuple[float, float] | None = None
     clip: Clip | None = None
-    crop: Clip | None = None  # the voxels of the original, where the strokes move them: `appearance.cropped`
+    crop: Clip | None = None
     plane: Plane | None = None
-    meshes: Sequence[MeshFile] = ()  # they are rendered with the volume, and move with it
-    convention: str | None = None  # the coordinates of those that do not say theirs, as in `read_surfaces`
-    table: bool = False  # whether a preset of CT shows what lies apart from the body: `appearance.without_table`
-    largest: bool = False  # whether only the largest connected part of what is visible is rendered
+    meshes: Sequence[MeshFile] = ()
+    convention: str | None = None
+    table: bool = False
+    largest: bool = False
     projection: str = "none"
     silhouettes: float = 0.0
     shadows: float = 0.0
-    camera: Camera = field(default_factory=Camera)  # by default, all that is visible is in view
-    size: tuple[int, int] = (512, 512)  # rows and columns
+    camera: Camera = field(default_factory=Camera)
+    size: tuple[int, int] = (512, 512)
     step: float | None = None
-    mode: str = "buffered"  # "hybrid" is "buffered" here
+    mode: str = "buffered"
     shaded: bool = True
-    annotate: bool = False  # whether a scale bar and the letters of the patient's sides are drawn
-    legend: bool = False  # whether the names of labels are listed with their colours, at the upper left
-    # sRGB from 0 to 1; by default, images are transparent where they are empty, and videos black
+    annotate: bool = False
+    legend: bool = False
     background: tuple[float, float, float] | None = None
-    supersampling: int = 1  # rays along each side of a pixel
-    turntable: int | None = None  # the number of images of a turntable: as a video, or with a number in the name
-    rate: float | None = None  # images a second of that video; by default, 24
-    what: str = "picture"  # or "inversions": the number of evaluations of T⁻¹ along each ray
-    time: int = 0  # the volume of a series, from 0
+    supersampling: int = 1
+    turntable: int | None = None
+    rate: float | None = None
+    what: str = "picture"
+    time: int = 0
     device: str = "cpu"
-    # the file for the transfer function that is used: .json, or .vp for 3D Slicer; of labels, .ctbl
     save_transfer: PathLike | None = None
 
     def __post_init__(self) -> None:
@@ -269,13 +317,37 @@ def render_file(
     maps: Sequence[Placed] = (),
     reference: PathLike | None = None,
 ) -> Scene:
-    """Render an image or a turntable of a volume file; return its scene.
+    """Render an image or a turntable of a volume file.
 
-    The target of a turntable is a video (MP4, MOV, MKV, WebM, GIF), or has a number in its name, such as ``%03d.png``.
-    ``tell`` is called with ``"render"``, the finished and the total amount of work; ``fit`` and ``maps`` are as in
-    `supple.warp_file`. With maps, or on the grid of another volume, the ``reference``, it is warped before it is
-    rendered, by the CPU. SuppleError if the source cannot be read, the target cannot be written (checked before any
-    work if possible), or an argument does not fit.
+    Parameters
+    ----------
+    source : str or os.PathLike
+        A volume, as in `supple.warp_file`.
+    target : str or os.PathLike
+        An image; for a turntable, a video (MP4, MOV, MKV, WebM, GIF), or a name with a number in it, such as
+        ``%03d.png``.
+    recipe : Recipe, optional
+        Strokes that warp the volume.
+    options, volume
+        Options for rendering, and for reading.
+    force : bool
+        Whether to replace an existing file.
+    tell : function
+        Called with ``"render"``, the finished and the total amount of work.
+    fit, maps
+        As in `supple.warp_file`. With maps, the volume is warped before it is rendered, by the CPU.
+    reference : str or os.PathLike, optional
+        Another volume, to whose grid it is warped.
+
+    Returns
+    -------
+    Scene
+
+    Raises
+    ------
+    SuppleError
+        If the source cannot be read, the target cannot be written (checked before any work if possible), or an argument
+        does not fit.
     """
     known, reading = options or RenderOptions(), volume or VolumeOptions()
     suffix = Path(target).suffix.lower()

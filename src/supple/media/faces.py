@@ -52,16 +52,31 @@ _MESH = (
 
 
 def read_faces(path: PathLike, size: tuple[int, int], *, picture: PathLike = "", turn: int = 1) -> tuple[Face, ...]:
-    """Return the faces of a file of landmarks, the largest first, in a picture of a width and a height, upright.
+    """Return the faces of a file of landmarks, the largest first.
 
-    That is a table (.csv, .tsv, .txt) with columns x and y, and name, unless it has 68, 468 or 478 rows; ``.pts``,
-    which counts pixels from 1; ``.xml`` of dlib's imglab, in which the entry of several is found by the name of the
-    ``picture``, and which may say that its landmarks are on the stored pixels, that the header turns (``turn``, 1 to
-    8); or ``.json`` of MediaPipe's face landmarker, in parts of the picture's width and height.
+    Parameters
+    ----------
+    path : str or os.PathLike
+        A table (.csv, .tsv, .txt) with columns x and y, and name, unless it has 68, 468 or 478 rows; ``.pts``, which
+        counts pixels from 1; ``.xml`` of dlib's imglab; or ``.json`` of MediaPipe's face landmarker, in parts of the
+        picture's width and height.
+    size : (int, int)
+        The width and height of the upright picture.
+    picture : str or os.PathLike
+        The picture's name, by which its entry in the XML of several is found.
+    turn : int
+        The orientation of the picture's header, 1 to 8: an XML may say that its landmarks are on the stored pixels.
 
-    For each face, it has the pixel (x, y) of each name. Schemes of 68 (iBUG, dlib) and 468 or 478 points (MediaPipe)
-    have the names of the documentation, and all have ``point_0``, ``point_1`` … by their place in the file. SuppleError
-    if the file cannot be read, is damaged or has no face, or most landmarks lie outside of the picture.
+    Returns
+    -------
+    tuple of dict
+        For each face, the pixel (x, y) of each name. Schemes of 68 (iBUG, dlib) and 468 or 478 points (MediaPipe) have
+        the names of the documentation, and all have ``point_0``, ``point_1`` … by their place in the file.
+
+    Raises
+    ------
+    SuppleError
+        If the file cannot be read, is damaged or has no face, or most landmarks lie outside of the picture.
     """
     suffix = PurePath(path).suffix.lower()
     check_suffix(path, suffix, SUFFIXES, "is of no landmarks", _GIVE, "read")

@@ -31,20 +31,39 @@ FLIP = np.array([-1.0, -1.0, 1.0])
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PointFile:
-    """Points, and the other contents of their file."""
+    """Points, and the other contents of their file.
 
-    points: Floats  # (N, 2) or (N, 3), x first
-    # "LPS" or "RAS", in millimetres; or "index", in pixels, frames or voxels from 0: the default for a table
+    Parameters
+    ----------
+    points : float64 array, shape (N, 2) or (N, 3)
+        x first.
+    convention : str
+        ``"LPS"`` or ``"RAS"``, in millimetres; or ``"index"``, in pixels, frames or voxels from 0: the default for a
+        table.
+    labels : tuple of str
+        One for each point; may be empty.
+    name : str
+        The name for messages.
+    kind : str
+        ``"CSV"``, ``"fcsv"`` or ``"JSON"``; or, of a mesh, one of `supple.media.meshes.KINDS`.
+    told : str
+        The source of the convention: ``"said"`` (the file), ``"mm"`` or ``"names"`` (columns x, y and z, with that unit
+        or without one), or ``""``.
+    normals : float64 array, shape (M, 3)
+        Normals of a mesh, in the convention of its points.
+    normals_at : int array, shape (M,)
+        The point of each normal.
+    """
+
+    points: Floats
     convention: str
-    labels: tuple[str, ...]  # one for each point; may be empty
-    name: str  # for messages
-    kind: str  # "CSV", "fcsv" or "JSON"; or, of a mesh, one of `supple.media.meshes.KINDS`
+    labels: tuple[str, ...]
+    name: str
+    kind: str
     _as_read: Any = field(repr=False)
-    # the source of the convention: "said" (the file), "mm" or "names" (columns x, y and z, with that unit or without
-    # one), or ""
     told: str = "said"
-    normals: Floats = field(default_factory=lambda: np.zeros((0, 3)))  # of a mesh, in the convention of its points
-    normals_at: Ints = field(default_factory=lambda: np.zeros(0, np.intp))  # the point of each normal
+    normals: Floats = field(default_factory=lambda: np.zeros((0, 3)))
+    normals_at: Ints = field(default_factory=lambda: np.zeros(0, np.intp))
 
     def parts(self) -> list[Part]:
         """Return what joins the points of a mesh; SuppleError if nothing does, or that is damaged."""

@@ -119,8 +119,14 @@ def without_table(samples: Array, spacing: Sequence[float]) -> tuple[Array, floa
 
     Of all that is as dense as skin, in parts of voxels that touch by their faces, the largest is the body. Other parts
     become air if they are nowhere thicker than 12 mm, and reach out of the box around the body: arms and legs are
-    thicker, and what is in the body is within its box. How much they were is a fraction of it all. Samples are in
-    Hounsfield units, and ``spacing`` in millimetres, x first.
+    thicker, and what is in the body is within its box. How much they were is a fraction of it all.
+
+    Parameters
+    ----------
+    samples : array (Z, H, W)
+        Hounsfield units.
+    spacing : sequence of float
+        In millimetres, x first.
     """
     import SimpleITK
 
@@ -249,8 +255,18 @@ def largest(samples: Array, transfer: Transfer | str, density: tuple[float, floa
     """Return a volume in which only the largest part of what is visible is left, of voxels that touch by their faces.
 
     Other visible voxels get the highest value that is not visible, below those that are; in a label map, and in colours
-    (with their opacity, if they have one), they are 0. SuppleError if the smallest value is visible, so that no value
-    hides a voxel.
+    (with their opacity, if they have one), they are 0.
+
+    Parameters
+    ----------
+    samples : array (Z, H, W), or (Z, H, W, 3 or 4) of colours
+    transfer, density
+        What is visible, as in `supple.render.scene.Scene`.
+
+    Raises
+    ------
+    SuppleError
+        If the smallest value is visible, so that no value hides a voxel.
     """
     ready, seen = _hiding(samples, transfer, density)
     shown = np.stack([seen.visible(slab, slab) for slab in ready])
@@ -266,8 +282,20 @@ def largest(samples: Array, transfer: Transfer | str, density: tuple[float, floa
 def cropped(samples: Array, crop: Clip, transfer: Transfer | str, density: tuple[float, float] | None = None) -> Array:
     """Return a volume of which only a box is visible, whose faces lie half a voxel beyond its outermost voxels.
 
-    In a label map, and in colours (with their opacity, if they have one), all else is 0. ``crop`` is as in
-    `supple.render.box.box_of`. SuppleError as of `largest`, or if the box is not within the volume.
+    In a label map, and in colours (with their opacity, if they have one), all else is 0.
+
+    Parameters
+    ----------
+    samples : array (Z, H, W), or (Z, H, W, 3 or 4) of colours
+    crop : three of (float, float)
+        For each axis, x first, the first and the last voxel, or None: see `supple.render.box.box_of`.
+    transfer, density
+        What is visible, as in `supple.render.scene.Scene`.
+
+    Raises
+    ------
+    SuppleError
+        If the box is not within the volume, or the smallest value is visible, so that no value hides a voxel.
     """
     ready, seen = _hiding(samples, transfer, density)
     box = box_of(crop, samples.shape[:3], "crop", single=True)

@@ -97,7 +97,10 @@ class LabelColours:
     def from_text(cls, text: str, name: str = "the colour table") -> LabelColours:
         """Read a colour table of 3D Slicer, FreeSurfer or ITK-SNAP; see docs/rendering.md.
 
-        SuppleError, which begins with ``name``, if a line is of none of these.
+        Raises
+        ------
+        SuppleError
+            If a line is of none of these; the message begins with ``name``.
         """
         made: dict[int, Colour] = {}
         names: dict[int, str] = {}
@@ -134,8 +137,17 @@ class LabelColours:
     def of_segments(cls, header: Mapping[str, str], labels: npt.ArrayLike) -> LabelColours:
         """Return the colours of labels, as a segmentation of 3D Slicer (``.seg.nrrd``) has them in its header.
 
-        That has fields as ``Segment0_LabelValue`` (by default 1) and ``Segment0_Color``, three numbers from 0 to 1:
-        SuppleError if they are not. Labels without a colour there have that of `palette`.
+        Parameters
+        ----------
+        header : mapping of str to str
+            Fields as ``Segment0_LabelValue`` (by default 1) and ``Segment0_Color``, three numbers from 0 to 1.
+        labels : array_like of int
+            Of these, those without a colour there have that of `palette`.
+
+        Raises
+        ------
+        SuppleError
+            If one of these is not what it should be.
         """
         made = dict(zip(np.asarray(labels).tolist(), map(tuple, cls().of(labels).tolist()), strict=True))
         names: dict[int, str] = {}
@@ -166,7 +178,13 @@ def palette(labels: npt.ArrayLike) -> Floats:
 
 
 def labels_in(samples: Array) -> Array:
-    """Return the labels of a volume, in order, without 0; SuppleError if a value is no whole number."""
+    """Return the labels of a volume, in order, without 0.
+
+    Raises
+    ------
+    SuppleError
+        If a value is no whole number.
+    """
     found: Array = np.zeros(0, np.int64)
     for slab in samples:
         values = _whole(slab)

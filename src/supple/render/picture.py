@@ -57,12 +57,22 @@ def luminance_and_colours(given: npt.NDArray[Any]) -> tuple[npt.NDArray[Any], np
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Rendering:
-    """A rendered volume, of shape (H, W)."""
+    """A rendered volume.
 
-    light: npt.NDArray[np.float32]  # (H, W, 4): linear red, green and blue, premultiplied, and the opacity
-    depth: Floats  # millimetres from the eye to the first surface; infinity if there is none
-    samples: npt.NDArray[np.int64]  # of each pixel
-    evaluations: npt.NDArray[np.int64]  # of T with its Jacobian (in the mode "exact")
+    Parameters
+    ----------
+    light : float32 array, shape (H, W, 4)
+        Linear red, green and blue, premultiplied, and the opacity.
+    depth : float64 array, shape (H, W)
+        Millimetres from the eye to the first surface; infinity if there is none.
+    samples, evaluations : int64 arrays, shape (H, W)
+        The samples of each pixel, and the evaluations of T with its Jacobian (in the mode ``"exact"``).
+    """
+
+    light: npt.NDArray[np.float32]
+    depth: Floats
+    samples: npt.NDArray[np.int64]
+    evaluations: npt.NDArray[np.int64]
 
     def __repr__(self) -> str:
         rows, columns = self.depth.shape

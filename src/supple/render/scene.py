@@ -117,18 +117,26 @@ class Scene:
         If the GPU failed, and the CPU took over.
     """
 
-    shape: tuple[int, ...]  # of the given volume
-    samples: Array  # the volume sampled by the CPU: the original, or the warped one if buffered there
-    clip: Box  # the box that is rendered, in voxels of the deformed volume, x first
-    # the plane's unit normal along the volume's axes, and its distance from the first voxel, in millimetres
+    shape: tuple[int, ...]
+    """The shape of the given volume."""
+    samples: Array
+    """The volume sampled by the CPU: the original, or the warped one if buffered there."""
+    clip: Box
+    """The box that is rendered, in voxels of the deformed volume, x first."""
     plane: tuple[float, float, float, float]
-    error: float  # a bound on the distance of source points from T⁻¹(q), in voxels, from the checks
-    range: tuple[float, float]  # the smallest and the largest value or label
-    # the visible labels, of a label map; ``samples`` are their places, from 1 on, and 0 elsewhere
+    """The plane's unit normal along the volume's axes, and its distance from the first voxel, in millimetres."""
+    error: float
+    """A bound on the distance of source points from T⁻¹(q), in voxels, from the checks."""
+    range: tuple[float, float]
+    """The smallest and the largest value or label."""
     labels: Array | None
-    device: str  # that was asked for
-    coarse: int  # the voxels from sample to sample of a buffer of the CPU: 1, or more for a preview
-    gpu: Gpu | None  # of the rays; None for the CPU
+    """The visible labels, of a label map; ``samples`` are their places, from 1 on, and 0 elsewhere."""
+    device: str
+    """The requested device."""
+    coarse: int
+    """The voxels from sample to sample of a buffer of the CPU: 1, or more for a preview."""
+    gpu: Gpu | None
+    """The GPU of the rays; None for the CPU."""
 
     def __init__(
         self,

@@ -59,9 +59,18 @@ class TransferFunction:
         number("unit", self.unit, "a number of millimetres above 0", 1e-6, 1e6)
 
     def table(self, low: float, high: float, step: float) -> npt.NDArray[np.float32]:
-        """Return linear red, green and blue, and opacity, of values from ``low`` to ``high``: (4096, 4).
+        """Return the colours and opacities of values from ``low`` to ``high``.
 
-        The opacity holds for the ``step`` of a ray, in millimetres.
+        Parameters
+        ----------
+        low, high : float
+        step : float
+            The step of a ray, in millimetres, for which the opacity holds.
+
+        Returns
+        -------
+        float32 array, shape (4096, 4)
+            Linear red, green and blue, and opacity.
         """
         values = np.linspace(low, high, ENTRIES)
         known = np.array(self.absolute(low, high).points)
@@ -110,7 +119,13 @@ class TransferFunction:
 
     @classmethod
     def from_json(cls, text: str, name: str = "the transfer function") -> TransferFunction:
-        """Read a transfer function; SuppleError, which begins with ``name``, if the text is invalid."""
+        """Read a transfer function.
+
+        Raises
+        ------
+        SuppleError
+            If the text is invalid; the message begins with ``name``.
+        """
         try:
             made = json.loads(text)
         except (ValueError, RecursionError) as error:
@@ -130,9 +145,12 @@ class TransferFunction:
             raise SuppleError(f"{name}: {error}") from None
 
     def to_vp(self, low: float, high: float) -> str:
-        """Return the text of a volume property of 3D Slicer (``.vp``), for `from_vp`, with opacities of a millimetre.
+        """Return the text of a volume property of 3D Slicer (``.vp``), for `from_vp`.
 
-        ``low`` and ``high`` are the range of the volume's values, of which relative ones are fractions.
+        Parameters
+        ----------
+        low, high : float
+            The range of the volume's values, of which relative ones are fractions. Opacities are those of a millimetre.
         """
         places = [p[0] for p in self.absolute(low, high).points]
         opacities = [1 - (1 - p[4]) ** (1 / self.unit) for p in self.points]
@@ -148,8 +166,12 @@ class TransferFunction:
     def from_vp(cls, text: str, name: str = "the volume property") -> TransferFunction:
         """Read a volume property of 3D Slicer (``.vp``): its opacity and its colours.
 
-        Its light and its opacity by gradients are left out, which this renderer has its own of, or none. SuppleError,
-        which begins with ``name``, if the text is invalid.
+        Its light and its opacity by gradients are left out, which this renderer has its own of, or none.
+
+        Raises
+        ------
+        SuppleError
+            If the text is invalid; the message begins with ``name``.
         """
         lines = [line.split() for line in text.splitlines() if line.strip()]
         try:
@@ -246,8 +268,12 @@ def transfer_of(name: str | os.PathLike[str]) -> Transfer:
         text = Path(name).read_text(encoding="utf-8")
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or "it is not text in UTF-8"
-        kind, known = ("a colour table", TABLES) if suffix in TABLES else ("a transfer function", SUFFIXES)
-        raise SuppleError(f"cannot read {path!r}: {reason}: name {kind} ({' or '.join(known)})") from None
+        what = (
+            f"a colour table ({', '.join(TABLES)})"
+            if suffix in TABLES
+            else f"a transfer function ({' or '.join(SUFFIXES)})"
+        )
+        raise SuppleError(f"cannot read {path!r}: {reason}: name {what}") from None
     if suffix in TABLES:
         return LabelColours.from_text(text, path)
     return TransferFunction.from_vp(text, path) if suffix == ".vp" else TransferFunction.from_json(text, path)

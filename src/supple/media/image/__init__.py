@@ -59,18 +59,37 @@ class MetadataWarning(ImageWarning):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Picture:
-    """An image, upright, in the colour space of its file."""
+    """An image, upright, in the colour space of its file.
 
-    pixels: formats.Array  # (H, W) or (H, W, C), contiguous, in the file's own dtype
-    alpha: bool = False  # whether the last channel is opacity, by which the colours are not multiplied
-    icc: bytes | None = None  # the colour profile
-    bits: int = 8  # a channel in the file; `pixels` may have room for more
-    format: str = ""  # "PNG", "JPEG", "TIFF", "WebP", "AVIF", "GIF", ...
-    interpretation: str = ""  # the meaning of the channels, in libvips' terms: "b-w", "srgb", "rgb16", "cmyk", ...
-    pages: int = 1  # of one size in `pixels`, one below the other
+    Parameters
+    ----------
+    pixels : ndarray
+        Shape (H, W) or (H, W, C), contiguous, in the file's own dtype.
+    alpha : bool
+        Whether the last channel is opacity, by which the colours are not multiplied.
+    icc : bytes or None
+        The colour profile.
+    bits : int
+        Bits a channel in the file; `pixels` may have room for more.
+    format : str
+        ``"PNG"``, ``"JPEG"``, ``"TIFF"``, ``"WebP"``, ``"AVIF"``, ``"GIF"``, ...
+    interpretation : str
+        The meaning of the channels, in libvips' terms: ``"b-w"``, ``"srgb"``, ``"rgb16"``, ``"cmyk"``, ...
+    pages : int
+        The number of pages of one size in `pixels`, one below the other.
+    extra : tuple of int
+        The meaning of each channel above the colours, as in a TIFF: 0 data, 1 opacity by which the colours are
+        multiplied already, 2 opacity.
+    """
+
+    pixels: formats.Array
+    alpha: bool = False
+    icc: bytes | None = None
+    bits: int = 8
+    format: str = ""
+    interpretation: str = ""
+    pages: int = 1
     _header: Mapping[str, Any] = field(default_factory=dict, repr=False)
-    # the meaning of each channel above the colours, as in a TIFF: 0 data, 1 opacity by which the colours are multiplied
-    # already, 2 opacity
     extra: tuple[int, ...] = ()
 
     def warped(
