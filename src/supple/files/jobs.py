@@ -180,28 +180,59 @@ def refuse_places(recipe: Recipe, source: PathLike) -> None:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Warped:
-    """A file that was written; lengths are in pixels or voxels and frames of the input."""
+    """A file that was written.
+
+    Parameters
+    ----------
+    source, target : pathlib.Path
+        The input and the output file.
+    kind : str
+        ``"picture"``, ``"clip"`` or ``"volume"``.
+    deformations : tuple of Deformation
+        The strokes on the grid of the input; on the upright grid around a sheared volume (`Grid.upright`). Of a clip
+        whose strokes have no time, on the grid of a frame; if they move with the frames, one for each frame.
+    tolerance : float
+        The largest distance of a source point from T⁻¹(q), in pixels, voxels and frames.
+    error : float
+        The error estimate from the checks of the map, in the same unit; `report` measures it.
+    frames : int
+        The number of frames of a clip, or of the volumes of a series.
+    still, copied, held : int
+        Of a clip: unchanged frames; those of them that were not encoded again, as their packets are those of the
+        source; and frames held at once.
+    geometry : Geometry, optional
+        The place of a volume's voxels.
+    grid : Grid, optional
+        The grid of the output, if it is not that of the input.
+    own : Grid, optional
+        The grid of the input as it is shown, if it is not that of the deformation: an OpenEXR may have pixels beyond.
+    folded, outside, unsolved : int
+        The numbers of the points solved at which a field folds, to which no point of a field's grid is mapped, and for
+        which no solution was found.
+    between : str
+        The interpolation between frames; empty where no sample lies between them.
+    background : float, optional
+        The true value of what lies outside of a volume, where none was asked for.
+    """
 
     source: Path
     target: Path
     kind: Kind
-    # On the grid of the input, or the upright grid around a sheared volume (`Grid.upright`). Of a clip whose strokes
-    # have no time, on the grid of a frame; if they move with the frames, one for each frame.
     deformations: tuple[Deformation, ...]
-    tolerance: float  # the largest distance of a source point from T⁻¹(q)
-    error: float = 0.0  # the error estimate from the checks of the map; `report` measures it
-    frames: int = 1  # of a clip; or the volumes of a series
-    still: int = 0  # unchanged frames of a clip
-    copied: int = 0  # those of them that were not encoded again, as their packets are those of the source
-    held: int = 0  # frames of a clip that were held at once
-    geometry: Geometry | None = None  # the place of a volume's voxels
-    grid: Grid | None = None  # of the output, if it is not that of the input
-    own: Grid | None = None  # of the input as it is shown, if that of the deformation is another: OpenEXR has more
-    folded: int = 0  # points solved at which a field folds
-    outside: int = 0  # those to which no point of a field's grid is mapped
-    unsolved: int = 0  # those without a solution
-    between: str = ""  # the interpolation between frames; empty where no sample lies between them
-    background: float | None = None  # the true value of what lies outside of a volume, where none was asked for
+    tolerance: float
+    error: float = 0.0
+    frames: int = 1
+    still: int = 0
+    copied: int = 0
+    held: int = 0
+    geometry: Geometry | None = None
+    grid: Grid | None = None
+    own: Grid | None = None
+    folded: int = 0
+    outside: int = 0
+    unsolved: int = 0
+    between: str = ""
+    background: float | None = None
 
     @property
     def deformation(self) -> Deformation:

@@ -33,18 +33,35 @@ class Moved:
 
     Lengths are in millimetres if there is a geometry; otherwise in the units of the deformation's spacing, which are
     pixels and frames if it is 1.
+
+    Parameters
+    ----------
+    source, target : pathlib.Path
+        The input and the output file.
+    count : int
+        The number of points.
+    displaced : float64 array, shape (N,)
+        The displacement of each point.
+    error : float64 array, shape (N,)
+        A bound on the distance of each point from where the map leads, as `Certified` has it; inf where no solution was
+        found.
+    outside : int
+        The number of points of the source beyond the outer faces of the voxels. They are mapped too, as T is defined
+        there.
+    first_outside : str
+        The first of these in the file: its label, or its number from 1, and its coordinates.
+    unconverged : int
+        The number of points for which no solution was found.
     """
 
     source: Path
     target: Path
-    count: int  # of the points
-    displaced: Floats  # (N,): the displacement of each
-    error: Floats  # (N,): a bound on the distance from where the map leads, as of `Certified`; inf without a solution
-    outside: (
-        int  # points of the source beyond the outer faces of the voxels: they are mapped too, as T is defined there
-    )
-    first_outside: str  # the first of these in the file: its label, or its number from 1, and its coordinates
-    unconverged: int  # points for which no solution was found
+    count: int
+    displaced: Floats
+    error: Floats
+    outside: int
+    first_outside: str
+    unconverged: int
 
 
 def move_points(

@@ -35,12 +35,23 @@ _LUMA = np.array((0.2126, 0.7152, 0.0722), np.float32)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Tracked:
-    """Where a point is in the frames of a clip."""
+    """Where a point is in the frames of a clip.
 
-    frames: npt.NDArray[np.int64]  # (N,): consecutive ones, counted from 0
-    points: Numbers  # (N, 2): x and y in each, in pixels
-    errors: Numbers  # (N,): pixels between the way forwards and the way back; 0 in the frame of the given point
-    # the frames before and after these in which it was lost, and why; none where the clip begins and ends
+    Parameters
+    ----------
+    frames : array of int64, shape (N,)
+        Consecutive frames, counted from 0.
+    points : array of float64, shape (N, 2)
+        x and y in each frame, in pixels.
+    errors : array of float64, shape (N,)
+        The distance in pixels between the way forwards and the way back; 0 in the frame of the given point.
+    lost : tuple of (int, str)
+        The frames before and after these in which the point was lost, and why; none where the clip begins and ends.
+    """
+
+    frames: npt.NDArray[np.int64]
+    points: Numbers
+    errors: Numbers
     lost: tuple[tuple[int, str], ...]
 
     @property
