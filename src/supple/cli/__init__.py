@@ -27,108 +27,57 @@ from supple.cli.console import STREAM, current, run
 from supple.errors import SuppleError
 
 _GRAB = "--grab X,Y[,T|Z]:X,Y[,T|Z] --radius R [OPTIONS]"
-_EXAMPLES = """\
-Example: grab what is at (256, 256), in pixels from the top left, and drag it to (256, 346)
-
-  supple warp photo.jpg out.jpg --grab 256,256:256,346 --radius 100
+_EXAMPLES = """
+supple warp photo.jpg out.jpg --grab 256,256:256,346 --radius 100
+supple warp photo.jpg out.png --grab 90,80:60,70 --grab 300,80:330,70 --radius 40
+supple warp photo.jpg out.png --scale 90,80:1.3 --scale 300,80:1.3 --twist 195,160:20 --radius 40
+supple warp photos/ bent/ --recipe strokes.json
+supple warp clip.mp4 late.mp4 --grab 350,120,38:350,120,52 --radius 60
+supple warp frames/%05d.png bent/%05d.png --recipe strokes.json
+supple warp head.nii.gz bent.nii.gz --grab 45,88,62:45,76,58 --radius 40
+supple warp cells.zarr bent.zarr --recipe strokes.json --workers 8
+supple warp moving.nii.gz seen.nii.gz --affine 0GenericAffine.mat --field 1Warp.nii.gz --reference fixed.nii.gz
+supple face photo.jpg out.jpg --slim 20 --eyes 15 --smile 10 --nose -10
+supple face portraits/ done/ --slim 15 --landmarks landmarks/
+supple plan cells.zarr --recipe strokes.json
+supple plan s3://bucket/brain.zarr --grab 900,800,400:930,800,400 --radius 0.5 --workers 8
+supple render head.nii.gz face.png --azimuth 30
+supple render head.nii.gz bent.png --grab 45,88,62:45,76,58 --radius 40 --azimuth 38
+supple render ct/ skull.png --transfer ct-bone
+supple render head.nii.gz turn.mp4 --turntable 120
+supple points marks.fcsv moved.fcsv --on head.nii.gz --grab 45,88,62:45,76,58 --radius 40
+supple points clicked.csv origin.csv --on photo.jpg --recipe strokes.json --inverse
+supple track clip.mp4 nose.csv --at 345,58,10
+supple view photo.jpg
+supple view clip.mp4 --recipe strokes.json
+supple view head.nii.gz --serve
+supple view ct.raw --shape 512,512,200 --dtype int16 --spacing 0.7,0.7,1.5
+supple invert warp.nii.gz inverse.nii.gz --status status.nii.gz
+supple invert composite.h5 inverse.nii.gz --to itk --reference moving.nii.gz
+supple check warp.nii.gz --picture warp.png
+supple check warp.nii.gz inverse.nii.gz --map logjac.nii.gz
+supple compose warp.nii.gz affine.mat --out both.nii.gz --to itk
+supple compose a.nii.gz --inverse b.nii.gz --convention fsl-relative --source moving.nii.gz --out c.mha
+supple convert warp.nii.gz warp.mha
+supple convert warp.nii.gz fsl.nii.gz --from itk --to fsl-relative --source moving.nii.gz
 """
-_WARP_EXAMPLES = """\
-Examples:
-
-  supple warp photo.jpg out.jpg --grab 256,256:256,346 --radius 100
-  supple warp photo.jpg out.png --grab 90,80:60,70 --grab 300,80:330,70 --radius 40
-  supple warp photo.jpg out.png --scale 90,80:1.3 --scale 300,80:1.3 --twist 195,160:20 --radius 40
-  supple warp photos/ bent/ --recipe strokes.json
-  supple warp clip.mp4 late.mp4 --grab 350,120,38:350,120,52 --radius 60
-  supple warp frames/%05d.png bent/%05d.png --recipe strokes.json
-  supple warp head.nii.gz bent.nii.gz --grab 45,88,62:45,76,58 --radius 40
-  supple warp cells.zarr bent.zarr --recipe strokes.json --workers 8
-  supple warp moving.nii.gz seen.nii.gz --affine 0GenericAffine.mat --field 1Warp.nii.gz --reference fixed.nii.gz
-"""
-_FACE_EXAMPLES = """\
-Examples:
-
-  supple face photo.jpg out.jpg --slim 20 --eyes 15 --smile 10 --nose -10
-  supple face portraits/ done/ --slim 15 --landmarks landmarks/
-"""
-_PLAN_EXAMPLES = """\
-Examples:
-
-  supple plan cells.zarr --recipe strokes.json
-  supple plan s3://bucket/brain.zarr --grab 900,800,400:930,800,400 --radius 0.5 --workers 8
-"""
-_RENDER_EXAMPLES = """\
-Examples:
-
-  supple render head.nii.gz face.png --azimuth 30
-  supple render head.nii.gz bent.png --grab 45,88,62:45,76,58 --radius 40 --azimuth 38
-  supple render ct/ skull.png --transfer ct-bone
-  supple render head.nii.gz turn.mp4 --turntable 120
-"""
-_POINTS_EXAMPLES = """\
-Examples:
-
-  supple points marks.fcsv moved.fcsv --on head.nii.gz --grab 45,88,62:45,76,58 --radius 40
-  supple points clicked.csv origin.csv --on photo.jpg --recipe strokes.json --inverse
-"""
-_TRACK_EXAMPLES = """\
-Examples:
-
-  supple track clip.mp4 nose.csv --at 345,58,10
-  supple warp clip.mp4 nose.mp4 --scale 345,58:1.6 --radius 24 --track nose.csv --track-frame 10
-"""
-_VIEW_EXAMPLES = """\
-Examples:
-
-  supple view photo.jpg
-  supple view clip.mp4 --recipe strokes.json
-  supple view head.nii.gz --serve
-  supple view ct.raw --shape 512,512,200 --dtype int16 --spacing 0.7,0.7,1.5
-"""
-_INVERT_EXAMPLES = """\
-Examples:
-
-  supple invert warp.nii.gz inverse.nii.gz --status status.nii.gz
-  supple invert composite.h5 inverse.nii.gz --to itk --reference moving.nii.gz
-"""
-_CHECK_EXAMPLES = """\
-Examples:
-
-  supple check warp.nii.gz --picture warp.png
-  supple check warp.nii.gz inverse.nii.gz --map logjac.nii.gz
-"""
-_COMPOSE_EXAMPLES = """\
-Examples:
-
-  supple compose warp.nii.gz affine.mat --out both.nii.gz --to itk
-  supple compose a.nii.gz --inverse b.nii.gz --convention fsl-relative --source moving.nii.gz --out c.mha
-"""
-_CONVERT_EXAMPLES = """\
-Examples:
-
-  supple convert warp.nii.gz warp.mha
-  supple convert warp.nii.gz fsl.nii.gz --from itk --to fsl-relative --source moving.nii.gz
-"""
-
-# The module of each command, its usage, and examples. Only the module of the given command is imported.
+# The module of each command, and its usage. Only the module of the given command is imported.
 _COMMANDS = (
-    ("cli.warp:warp", f"warp IN... OUT {_GRAB}", _WARP_EXAMPLES),
-    ("cli.face:face", "face IN... OUT [--slim P] [--eyes P] [--smile P] [--nose P] [OPTIONS]", _FACE_EXAMPLES),
-    ("cli.plot:plot", f"plot IN OUT.png {_GRAB}", ""),
-    ("cli.volume:render", f"render VOLUME OUT [{_GRAB}]", _RENDER_EXAMPLES),
-    ("cli.volume:points", f"points IN OUT --on FILE {_GRAB}", _POINTS_EXAMPLES),
-    ("cli.track:track", "track CLIP OUT.csv --at X,Y,K [--at X,Y,K]... [OPTIONS]", _TRACK_EXAMPLES),
-    ("cli.stores:plan", f"plan IN {_GRAB}", _PLAN_EXAMPLES),
-    ("cli.info:info", "info FILE... [--gpu] [--json]", ""),
-    ("cli.view:view", "view FILE [--serve] [OPTIONS]", _VIEW_EXAMPLES),
-    ("cli.fields:invert", "invert FIELD OUT [OPTIONS]", _INVERT_EXAMPLES),
-    ("cli.fields:check", "check FIELD [INVERSE] [OPTIONS]", _CHECK_EXAMPLES),
-    ("cli.fields:compose", "compose MAP [--inverse] MAP [--inverse]... --out FILE [OPTIONS]", _COMPOSE_EXAMPLES),
-    ("cli.fields:convert", "convert IN OUT [--from NAME] [--to NAME] [OPTIONS]", _CONVERT_EXAMPLES),
-    ("cli.plot:demo", "demo [DIR] [OPTIONS]", ""),
+    ("cli.warp:warp", f"warp IN... OUT {_GRAB}"),
+    ("cli.face:face", "face IN... OUT [--slim P] [--eyes P] [--smile P] [--nose P] [OPTIONS]"),
+    ("cli.plot:plot", f"plot IN OUT.png {_GRAB}"),
+    ("cli.volume:render", f"render VOLUME OUT [{_GRAB}]"),
+    ("cli.volume:points", f"points IN OUT --on FILE {_GRAB}"),
+    ("cli.track:track", "track CLIP OUT.csv --at X,Y,K [--at X,Y,K]... [OPTIONS]"),
+    ("cli.stores:plan", f"plan IN {_GRAB}"),
+    ("cli.info:info", "info FILE... [--gpu] [--json]"),
+    ("cli.view:view", "view FILE [--serve] [OPTIONS]"),
+    ("cli.fields:invert", "invert FIELD OUT [OPTIONS]"),
+    ("cli.fields:check", "check FIELD [INVERSE] [OPTIONS]"),
+    ("cli.fields:compose", "compose MAP [--inverse] MAP [--inverse]... --out FILE [OPTIONS]"),
+    ("cli.fields:convert", "convert IN OUT [--from NAME] [--to NAME] [OPTIONS]"),
+    ("cli.plot:demo", "demo [DIR] [OPTIONS]"),
 )
-
-
 _OF_FILES = ("--recipe", "--save-recipe", "--save-field", "--on", "--field", "--affine", "--reference")
 _PYTHON = "Restoring and smoothing are for Python (Deformation.restore) and for the window (supple view)"
 # What to do about options that other commands have, and other ways.
@@ -160,7 +109,7 @@ def _dispatch(arguments: Sequence[str]) -> None:
     app = App(
         name="supple",
         help="Bend pictures, videos and volumes with elastic brushes, exactly inverted and sampled once.",
-        help_epilogue=_broken(_EXAMPLES),
+        help_epilogue=_examples("warp photo.jpg out.jpg"),
         help_format="plaintext",
         help_formatter=_formatter() if not arguments or {"--help", "-h"} & {*arguments} else None,
         version=_version,
@@ -168,8 +117,9 @@ def _dispatch(arguments: Sequence[str]) -> None:
         suppress_keyboard_interrupt=False,
         result_action="return_value",
     )
-    for where, usage, examples in _COMMANDS:
-        app.command(f"supple.{where}", usage=f"Usage: supple {usage}", help_epilogue=_broken(examples))
+    for where, usage in _COMMANDS:
+        examples = _examples(where.partition(":")[2])
+        app.command(f"supple.{where}", usage=f"Usage: supple {usage}", help_epilogue=examples)
     if not arguments or arguments[0] in app.help_flags:
         app.resolved_commands()  # otherwise their first lines would be missing
     # Otherwise a single dash would be parsed as an option.
@@ -202,7 +152,7 @@ def _advised(error: CycloptsError) -> str:
         return text if instead is None else f"{wrong} {instead}"
     if isinstance(error, MissingArgumentError) and error.argument and error.command_chain:
         if not error.argument.name.startswith("--"):
-            usage = next(usage for _, usage, _ in _COMMANDS if usage.startswith(error.command_chain[0]))
+            usage = next(usage for _, usage in _COMMANDS if usage.startswith(error.command_chain[0]))
             return f"give the files: supple {usage}"
         return f"give {error.keyword or error.argument.name}, and a value after it"
     if isinstance(error, UnusedCliTokensError):
@@ -211,18 +161,17 @@ def _advised(error: CycloptsError) -> str:
         name = (error.unused_tokens or [""])[0]
         kind = "option" if name.startswith("-") else "command"
         meant = f" Did you mean{meant.partition('?')[0]}?" if meant else ""
-        known = ", ".join(usage.partition(" ")[0] for _, usage, _ in _COMMANDS)
+        known = ", ".join(usage.partition(" ")[0] for _, usage in _COMMANDS)
         return f'Unknown {kind} "{name}".{meant} The commands are {known}'
     return wrong if isinstance(error, CoercionError) else text
 
 
-def _broken(examples: str) -> str:
-    """Return examples with lines that fit the terminal: a shell takes what is after a backslash for the same line."""
-    width, lines = shutil.get_terminal_size().columns - 8, []
-    for line in examples.splitlines():
-        parts = textwrap.wrap(line.strip(), width, break_long_words=False, break_on_hyphens=False)
-        lines.append("  " + " \\\n      ".join(parts) if line.startswith("  ") else line)
-    return "\n".join(lines)
+def _examples(begin: str) -> str:
+    """Return the examples that begin so, in lines that fit the terminal; a backslash goes on with one."""
+    width = shutil.get_terminal_size().columns - 8
+    some = [line for line in _EXAMPLES.splitlines() if line.startswith(f"supple {begin} ")]
+    parts = (textwrap.wrap(line, width, break_long_words=False, break_on_hyphens=False) for line in some)
+    return "\n".join(["Examples:\n", *("  " + " \\\n      ".join(each) for each in parts)]) if some else ""
 
 
 def _formatter() -> Any:

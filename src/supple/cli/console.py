@@ -180,17 +180,6 @@ class Console:
         if self._is_new(line) and not self.quiet:
             self.say(line if meant else f"warning: {line}")
 
-    def started(self, *, quiet: bool, threads: int | None, strict: bool = False, file: str = "") -> None:
-        """Take the options that every command has, and the name of the file that it reads."""
-        self.quiet, self.strict = quiet, strict
-        self.all.source = file
-        named = os.environ.get("SUPPLE_THREADS", "") if threads is None else str(threads)
-        if named and not (named.isascii() and named.isdecimal() and int(named) > 0):
-            option = "the environment variable SUPPLE_THREADS" if threads is None else "--threads"
-            raise SuppleError(f"{option} must be a number of threads from 1, found {named!r}")
-        if threads is not None:
-            os.environ["SUPPLE_THREADS"] = os.environ["VIPS_CONCURRENCY"] = named
-
 
 _current: ContextVar[Console] = ContextVar("console")
 

@@ -174,7 +174,13 @@ class RunOptions:
     def start(self, file: str = "") -> Console:
         """Return the console of the command, which now goes by these options, and reads a file."""
         console = current()
-        console.started(quiet=self.quiet, strict=self.strict, threads=self.threads, file=file)
+        console.quiet, console.strict, console.all.source = self.quiet, self.strict, file
+        named = os.environ.get("SUPPLE_THREADS", "") if self.threads is None else str(self.threads)
+        if named and not (named.isascii() and named.isdecimal() and int(named) > 0):
+            option = "the environment variable SUPPLE_THREADS" if self.threads is None else "--threads"
+            raise SuppleError(f"{option} must be a number of threads from 1, found {named!r}")
+        if self.threads is not None:
+            os.environ["SUPPLE_THREADS"] = os.environ["VIPS_CONCURRENCY"] = named
         return console
 
 

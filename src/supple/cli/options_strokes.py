@@ -95,24 +95,12 @@ def _part(option: str, text: str) -> float:
 
 @dataclass(frozen=True)
 class Edits:
-    """The edits of a command line.
+    """The edits of a command line."""
 
-    Parameters
-    ----------
-    recipe : Recipe
-        The strokes of the recipe file, and after them those of the command line.
-    maps : Maps
-        The fields and affine maps among them.
-    own : tuple of int
-        The places in the recipe of the command line's strokes, without freezes.
-    relative : bool
-        Whether the strokes are others in each picture: at landmarks, or of lengths in percent.
-    """
-
-    recipe: "Recipe"
-    maps: Maps
-    own: tuple[int, ...] = ()
-    relative: bool = False
+    recipe: "Recipe"  # the strokes of the recipe file, and after them those of the command line
+    maps: Maps  # the fields and affine maps among them
+    own: tuple[int, ...] = ()  # the places in the recipe of the command line's strokes, without freezes
+    relative: bool = False  # whether strokes are others in each picture: at landmarks, or of lengths in percent
 
 
 @options_of(STROKES)

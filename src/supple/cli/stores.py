@@ -12,7 +12,7 @@ from cyclopts import Parameter
 
 from supple.cli.console import STREAM, Console, File, Terminated, about, one_line
 from supple.cli.console import told as told_of
-from supple.cli.options import RUNNING, Labels, RunOptions, SamplingOptions, VolumeArguments, WorkerOptions, whole
+from supple.cli.options import Labels, RunOptions, SamplingOptions, VolumeArguments, WorkerOptions
 from supple.cli.options_maps import (
     MapOptions,
     Maps,
@@ -145,9 +145,7 @@ def plan(
     labels: Labels = False,
     volume: VolumeArguments = VolumeArguments(),
     workers: WorkerOptions = WorkerOptions(),
-    json: Annotated[bool, Parameter(group=RUNNING)] = False,
-    quiet: Annotated[bool, Parameter(group=RUNNING)] = False,
-    threads: Annotated[int | None, whole(group=RUNNING)] = None,
+    options: RunOptions = RunOptions(),
 ) -> None:
     """Tell what a warp in blocks would read and write, without reading a sample.
 
@@ -157,18 +155,12 @@ def plan(
         A Zarr array or an OME-Zarr image, a volume, or a picture.
     labels
         The input is a label map, as of warp.
-    json
-        Print one JSON object to standard output.
-    quiet
-        Print no warnings and no progress bar.
-    threads
-        Number of threads (default: all cores).
     """
     from supple.engine.progress import counted
     from supple.files.jobs import Job
     from supple.files.plans import plan_file
 
-    console = RunOptions(quiet=quiet, threads=threads).start(source)
+    console = options.start(source)
     grid = output.to_grid()
     reading = volume.to_reading(labels=labels)
     edits = strokes.read(
@@ -179,7 +171,7 @@ def plan(
     job = refer(console, job, edits.maps)
     with counted(console.terminal, "blocks") as tell:
         found = plan_file(job, workers.to_running(), tell)
-    if json:
+    if options.json:
         console.tell({"file": source, **asdict(found)})
     else:
         print(_described(source, found))

@@ -30,18 +30,12 @@ _FARTHEST = 1e7  # voxels
 
 @dataclass(frozen=True, slots=True)
 class MeshFile:
-    """A mesh or contours in a file, and their colour.
+    """A mesh or contours in a file, and their colour."""
 
-    Parameters
-    ----------
-    path : str or os.PathLike
-        .stl, .obj, .ply, .vtk (PolyData), .vtp; or a structure set of DICOM, .dcm.
-    colour : (float, float, float), optional
-        sRGB from 0 to 1; by default, that of each region of a structure set, and one of `COLOURS` otherwise.
-    """
-
-    path: PathLike
-    colour: Colour | None = None
+    path: PathLike  # .stl, .obj, .ply, .vtk (PolyData), .vtp; or a structure set of DICOM, .dcm
+    colour: Colour | None = (
+        None  # sRGB from 0 to 1; by default, that of each region of a structure set, or of `COLOURS`
+    )
 
 
 def read_surfaces(given: Sequence[MeshFile], volume: Volume, convention: str | None = None) -> tuple[Surface, ...]:

@@ -30,26 +30,13 @@ class Places:
 
     A position is a landmark's name, of the largest face, or ``NAME@2`` of the second largest; with an offset,
     ``+DX,DY``, if it has one. A percentage is of the shortest side of the picture, or of the distance of two positions.
-
-    Parameters
-    ----------
-    medium : Medium, optional
-        The picture; by default none yet, and positions and lengths are any, all of which differ.
-    landmarks : str or os.PathLike, optional
-        As in `supple.files.faces.faces_of`.
-    percent_of : str, optional
-        The two positions, ``A:B``; those of a recipe otherwise.
-    used : bool
-        Whether anything was asked for: what was made is for this picture alone.
-    scaled : bool
-        Whether any of that was a percentage.
     """
 
-    medium: Medium | None = None
-    landmarks: PathLike | None = None
-    percent_of: str | None = None
-    used: bool = field(default=False, init=False)
-    scaled: bool = field(default=False, init=False)
+    medium: Medium | None = None  # the picture; without one, positions and lengths are any, all of which differ
+    landmarks: PathLike | None = None  # as in `supple.files.faces.faces_of`
+    percent_of: str | None = None  # the two positions, ``A:B``; those of a recipe otherwise
+    used: bool = field(default=False, init=False)  # anything was asked for: what was made is for this picture alone
+    scaled: bool = field(default=False, init=False)  # any of that was a percentage
 
     @cached_property
     def faces(self) -> tuple[Face, ...]:

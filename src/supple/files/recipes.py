@@ -5,17 +5,17 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 from supple.errors import JSON, SuppleError, shown, spelling
 from supple.files.options import PathLike
-from supple.media.files import check_output, is_store, replacing
+from supple.media.files import check_output, head_of, is_store, replacing, unreadable
 from supple.media.image.formats import SUFFIXES as PICTURES
 from supple.media.suffixes import CLIPS, CLIPS_OUT, VOLUMES, VOLUMES_OUT, suffix_of
 from supple.media.timecode import PATTERN
 from supple.strokes import Recipe
 
+_GIVE = "give a recipe in JSON"
 _TIMECODE = re.compile(rf'("name"\s*:\s*)?"({PATTERN})"')
 _MEDIA = frozenset({*PICTURES, *CLIPS, *CLIPS_OUT, *VOLUMES, *VOLUMES_OUT})
 
@@ -38,13 +38,9 @@ def read_recipe(
     """
     name = shown(path)
     try:
-        text = Path(path).read_bytes().decode("utf-8-sig")
-    except OSError as error:
-        raise SuppleError(f"cannot read {name}: {error.strerror}: give a recipe in JSON") from error
+        text = head_of(path, -1, _GIVE, _GIVE).decode("utf-8-sig")
     except UnicodeDecodeError as error:
-        raise SuppleError(f"cannot read {name}: it is no text: give a recipe in JSON") from error
-    except ValueError as error:
-        raise SuppleError(f"cannot read {name}: no file can have that name: check it") from error
+        raise unreadable(path, "it is no text", _GIVE) from error
     try:
         if frames is not None:
             text = _TIMECODE.sub(lambda code: code[0] if code[1] else str(frames(name, code[2])), text)

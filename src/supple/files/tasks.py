@@ -30,23 +30,10 @@ _PATIENCE = 10  # seconds until a scheduler has answered
 
 @dataclass(frozen=True, slots=True)
 class Running:
-    """Where the tasks of a job run; by default, on threads of this process.
+    """Where the tasks of a job run, in one of two ways; by default, on threads of this process."""
 
-    Parameters
-    ----------
-    workers : int, optional
-        The number of processes on this machine.
-    scheduler : str, optional
-        The address of the scheduler of a cluster of Dask, such as ``tcp://node1:8786``.
-
-    Raises
-    ------
-    SuppleError
-        If both are given, or one is invalid.
-    """
-
-    workers: int | None = None
-    scheduler: str | None = None
+    workers: int | None = None  # the number of processes on this machine
+    scheduler: str | None = None  # the address of that of a cluster of Dask, such as ``tcp://node1:8786``
 
     def __post_init__(self) -> None:
         given: object = self.workers  # user input of any type

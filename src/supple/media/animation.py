@@ -39,12 +39,7 @@ class _Png:
 
     def add(self, still: bytes, box: Box, lasts: Fraction) -> Fraction:
         """Append a frame; return the seconds that it lasts, as the file has them."""
-        first, at = self._number == 0, 8
-        chunks: list[tuple[bytes, bytes]] = []
-        while at < len(still):
-            size, kind = int.from_bytes(still[at : at + 4]), still[at + 4 : at + 8]
-            chunks.append((kind, still[at + 8 : at + 8 + size]))
-            at += 12 + size
+        first, chunks = self._number == 0, [*_chunks(still, 8, 0)]
         if first:
             self._file.write(still[:8])
             for kind, data in chunks:
@@ -79,12 +74,7 @@ class _WebP:
 
     def add(self, still: bytes, box: Box, lasts: Fraction) -> Fraction:
         """Append a frame; return the seconds that it lasts, as the file has them."""
-        chunks: dict[bytes, bytes] = {}
-        at = 12
-        while at + 8 <= len(still):
-            size = int.from_bytes(still[at + 4 : at + 8], "little")
-            chunks[still[at : at + 4]] = still[at + 8 : at + 8 + size]
-            at += 8 + size + size % 2
+        chunks = dict(_chunks(still, 12, 4))
         if self._last is None:
             known = {kind: data for kind, data in chunks.items() if kind in (b"ICCP", b"EXIF", b"XMP ")}
             flags = 2 | 32 * (b"ICCP" in known) | 16 * self._alpha | 8 * (b"EXIF" in known) | 4 * (b"XMP " in known)
@@ -110,6 +100,14 @@ class _WebP:
             raise OSError(errno.EFBIG, "a WebP ends at 4 GB")
         self._file.seek(4)
         self._file.write(struct.pack("<I", size))
+
+
+def _chunks(still: bytes, at: int, size_at: int) -> Iterator[tuple[bytes, bytes]]:
+    """Yield the kind and the data of each chunk: of a PNG, the size comes first, and a checksum last; of a WebP not."""
+    while at + 8 <= len(still):
+        size = int.from_bytes(still[at + size_at : at + size_at + 4], "little" if size_at else "big")
+        yield still[at + 4 - size_at : at + 8 - size_at], still[at + 8 : at + 8 + size]
+        at += 8 + size + (size % 2 if size_at else 4)
 
 
 def _riff(kind: bytes, data: bytes) -> bytes:

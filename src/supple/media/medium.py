@@ -28,20 +28,11 @@ _MAY_MOVE = (".gif", ".webp", ".png", ".apng", "")  # the suffixes of pictures t
 
 @dataclass(frozen=True, eq=False)
 class Medium:
-    """A file, a folder or a pattern of names, and what it is taken for; its header is read when it is asked for.
-
-    Parameters
-    ----------
-    path : str or os.PathLike
-    kind : str
-        ``"picture"``, ``"clip"`` or ``"volume"``.
-    layout, series, irregular
-        Of volumes, as in `supple.media.volume.read`.
-    """
+    """A file, a folder or a pattern of names, and what it is taken for; its header is read when it is asked for."""
 
     path: PathLike
     kind: Kind
-    layout: RawLayout | None = None
+    layout: RawLayout | None = None  # this and the next are of volumes, as in `supple.media.volume.read`
     series: str | None = None
     irregular: str | None = None
 

@@ -14,30 +14,14 @@ PATTERN = r"\d+:\d\d:\d\d[:;.]\d\d\d?"
 
 @dataclass(frozen=True, slots=True)
 class Numbering:
-    """The numbers and the timecodes of the frames of a clip; everywhere else, frames are counted from 0.
+    """The numbers and the timecodes of the frames of a clip; everywhere else, frames are counted from 0."""
 
-    Parameters
-    ----------
-    name : str
-        The clip, for messages.
-    count : int
-        The number of frames.
-    rate : Fraction
-        Frames a second; timecodes count the nearest whole number of them as one second.
-    first : int
-        The number of the first frame.
-    start : str
-        The timecode of the first frame; if it is empty, they begin at 0, with or without drops.
-    varies : bool
-        Whether the rate varies, so that timecodes would not be times.
-    """
-
-    name: str
-    count: int
-    rate: Fraction
-    first: int = 0
-    start: str = ""
-    varies: bool = False
+    name: str  # the clip, for messages
+    count: int  # of frames
+    rate: Fraction  # frames a second; timecodes count the nearest whole number of them as one second
+    first: int = 0  # the number of the first frame
+    start: str = ""  # the timecode of the first frame; if it is empty, they begin at 0, with or without drops
+    varies: bool = False  # whether the rate varies, so that timecodes would not be times
 
     def read(self, what: str, text: str) -> int:
         """Return the frame of a number or a timecode, counted from 0; SuppleError for one that the clip does not have.

@@ -13,7 +13,8 @@ import pyvips
 import supple
 from supple.errors import GapWarning, SuppleError
 from supple.files import warp_file
-from supple.media.image import MetadataWarning, PageWarning, Picture, info, read, write
+from supple.media import image
+from supple.media.image import MetadataWarning, PageWarning, Picture, info, read, tiff, write
 from supple.media.image.display import in_srgb
 from tests import effort
 from tests.media.image.pictures import noise
@@ -307,3 +308,26 @@ def test_bits_in_colours(tmp_path: Path) -> None:
     tifffile.imwrite(tmp_path / "in.tif", noise("uint8", *SIZE, 3) > 127, photometric="rgb")
     seen = tifffile.imread(tmp_path / "in.tif")  # which does not write them as it reads them
     np.testing.assert_array_equal(read(tmp_path / "in.tif").pixels, 255 * seen.astype(np.uint8))
+
+
+@pytest.mark.parametrize("placed", [{}, {"tile": (64, 32)}])
+@pytest.mark.parametrize("compression", ["deflate", "lzw", "none"])
+def test_parts_that_are_compressed_at_once_are_one_page(
+    tmp_path: Path, placed: dict[str, Any], compression: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pixels = noise("u2", 700, 50, 3)
+    saved(tmp_path / "in.tif", pixels, compression=compression, resolution=(300, 300), **placed)
+    files = []
+    for least in (1 << 24, 0):
+        monkeypatch.setattr(tiff, "_LEAST", least)
+        monkeypatch.setattr(image, "threads", lambda: 4)
+        write(tmp_path / "out.tif", read(tmp_path / "in.tif"), force=True)
+        found, page = stored(tmp_path / "out.tif")
+        np.testing.assert_array_equal(found, pixels)
+        tags = {tag.name: tag.value for tag in page.tags if not tag.name.endswith("Offsets")}
+        with tifffile.TiffFile(tmp_path / "out.tif") as file:
+            blocks = [file.filehandle.seek(at) and file.filehandle.read(size)
+                      for at, size in zip(page.dataoffsets, page.databytecounts, strict=True)]  # fmt: skip
+        files.append((tags, blocks))
+    assert files[0] == files[1]
+    assert len(files[1][1]) > 4

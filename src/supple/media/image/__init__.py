@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+import tempfile
 import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
@@ -14,12 +15,24 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pyvips
 
+from supple._core import threads
 from supple.errors import GapWarning, LayerWarning, SuppleError, argument, caller, shown
 from supple.media.files import PathLike, check_suffix, replacing, unwritable
 from supple.media.image import dpx, exif, formats
 from supple.media.image.headers import NO_EXIF, collected, dressed, extra_of, facts, finish, profile_name
-from supple.media.image.tiff import MASK, Page, Tiff, swapped, tagged
-from supple.media.image.vips import apart, decoded, of_exr, of_tiff, opened, reading, sequential, widen, writing
+from supple.media.image.tiff import MASK, Page, Tiff, parts, swapped, tagged
+from supple.media.image.vips import (
+    apart,
+    decoded,
+    of_exr,
+    of_tiff,
+    opened,
+    reading,
+    sequential,
+    together,
+    widen,
+    writing,
+)
 
 if TYPE_CHECKING:
     from supple.media.image import exr
@@ -468,8 +481,15 @@ def write(
         warnings.warn(text, ImageWarning, stacklevel=2)
     options |= formats.compressed(form, array, compression, bool(options.get("lossless")))
     with replacing(path, force=force) as temporary, writing(path):
-        apart(lambda: getattr(image, form.saver)(os.fsencode(temporary), **options), image)
-        if form is formats.TIFF:
-            tagged(temporary, tiff, exif.for_tiff(header.get("exif-data", b""), *array.shape[1::-1]), sized)
-        else:
+        if form is not formats.TIFF:
+            apart(lambda: getattr(image, form.saver)(os.fsencode(temporary), **options), image)
             finish(temporary, image, form, sized)
+            return
+        ends = parts(len(array), array.nbytes, threads(), options)
+        images = [image.crop(0, a, image.width, b - a) for a, b in ends] if len(ends) > 1 else [image]
+        added = exif.for_tiff(header.get("exif-data", b""), *array.shape[1::-1])
+        with tempfile.TemporaryDirectory(prefix=".", dir=temporary.parent) as folder:
+            names = [temporary, *(Path(folder, str(k)) for k in range(1, len(images)))]
+            saves = zip(names, images, strict=True)
+            together([partial(each.tiffsave, os.fsencode(name), **options) for name, each in saves], images)
+            tagged(temporary, tiff, added, sized, names[1:])

@@ -42,6 +42,12 @@ class Value:
     kind: int
     data: bytes
 
+    @property
+    def integers(self) -> list[int]:
+        """The numbers, if they are integers without sign; none of other types."""
+        size = {1: 1, 3: 2, 4: 4}.get(self.kind)
+        return np.frombuffer(self.data, f"<u{size}").tolist() if size else []
+
 
 # an entry as stored in a file, a value to be laid out, or a folder below
 Folder: TypeAlias = "dict[int, bytes | Value | Folder]"
@@ -127,7 +133,7 @@ class Reader:
             data = entry[-form.word :][:size]
         else:
             data = self.at(form.number(entry[-form.word :]), size) if size <= self.room else b""
-        if len(data) < size:
+        if kind not in _SIZES or len(data) < size:
             self.whole = False
             return None
         self.room -= size

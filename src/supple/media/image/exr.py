@@ -49,31 +49,16 @@ class Channel:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Exr:
-    """An OpenEXR, with its channels as arrays over one box.
+    """An OpenEXR, with its channels as arrays over one box."""
 
-    Parameters
-    ----------
-    attributes : tuple of dict
-        The header of each part.
-    windows : tuple of Box
-        The data window of each part.
-    display, box : Box
-        The display window; and what the arrays cover.
-    groups : tuple of (bool, tuple of Channel)
-        Whether the channels of an array are exact, and which they are: first the picture's own.
-    arrays : tuple of float32 arrays, shape (H, W, planes)
-        One for each group.
-    left : tuple of str
-        Channels that are not held.
-    """
-
-    attributes: tuple[Mapping[str, Any], ...]
-    windows: tuple[Box, ...]
-    display: Box
-    box: Box
+    attributes: tuple[Mapping[str, Any], ...]  # the header of each part
+    windows: tuple[Box, ...]  # the data window of each part
+    display: Box  # the display window
+    box: Box  # what the arrays cover
+    # whether the channels of an array are exact, and which they are: first the picture's own
     groups: tuple[tuple[bool, tuple[Channel, ...]], ...]
-    arrays: tuple[Array, ...] = ()
-    left: tuple[str, ...] = ()
+    arrays: tuple[Array, ...] = ()  # of float32, (H, W, planes), one for each group
+    left: tuple[str, ...] = ()  # channels that are not held
 
     @property
     def shown(self) -> tuple[int, int]:

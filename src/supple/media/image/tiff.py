@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import itertools
 import mmap
-from collections.abc import Callable
+import os
+import shutil
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, NoReturn
 
@@ -16,7 +19,8 @@ from supple.media.image.formats import Array, damaged
 
 _BITS, _COMPRESSION, _PHOTOMETRIC, _SAMPLES, _PLANAR = 258, 259, 262, 277, 284
 _PREDICTOR, _TILE_WIDTH, _TILE_HEIGHT, _INKS, _EXTRA, _FORMAT = 317, 322, 323, 332, 338, 339
-_UNIT = 296
+_UNIT, _LENGTH, _OFFSETS, _COUNTS = 296, 257, (273, 324), (279, 325)
+_LEAST, _MOST, _AT_ONCE = 1 << 24, 2_000_000_000, 8  # bytes of a picture that is compressed in parts, and these
 MINISWHITE, RGB, YCBCR, CIELAB, ICCLAB, ITULAB = 0, 2, 6, 8, 9, 10
 MASK, _MOSAIC = 4, 32803
 # by photometric interpretation; others have three, inks their own
@@ -35,30 +39,15 @@ _TAGS = (*PLACE, 42112, _NODATA, _INKS, 333, 334)  # and GDAL's metadata, and in
 
 @dataclass(frozen=True, slots=True)
 class Tiff:
-    """The tags of a page of a TIFF about its samples.
+    """The tags of a page of a TIFF about its samples."""
 
-    Parameters
-    ----------
-    photometric : int
-        The meaning of the colours, by TIFF's code.
-    extra : tuple of int
-        That of each channel above the colours: 0 data, 1 opacity by which the colours are multiplied, 2 opacity.
-    meaning : str
-        The colours in libvips' terms; empty for grey and RGB.
-    options : dict
-        The settings of libvips' saver for compression and tiles.
-    tags : dict
-        Tags that libvips does not keep: georeference, NoData, inks.
-    unkept : str
-        The name of a compression in place of which deflate is used; empty if it is kept.
-    """
-
-    photometric: int = 1
+    photometric: int = 1  # the meaning of the colours, by TIFF's code
+    # of each channel above the colours: 0 data, 1 opacity by which the colours are multiplied, 2 opacity
     extra: tuple[int, ...] = ()
-    meaning: str = ""
-    options: dict[str, Any] = field(default_factory=dict)
-    tags: Folder = field(default_factory=dict)
-    unkept: str = ""
+    meaning: str = ""  # the colours in libvips' terms; empty for grey and RGB
+    options: dict[str, Any] = field(default_factory=dict)  # of libvips' saver, for compression and tiles
+    tags: Folder = field(default_factory=dict)  # that libvips does not keep: georeference, NoData, inks
+    unkept: str = ""  # the name of a compression in place of which deflate is used; empty if it is kept
 
     @property
     def has_place(self) -> bool:
@@ -129,9 +118,7 @@ class Page:
         self.tiff = self._facts()
 
     def _numbers(self, tag: int) -> tuple[int, ...]:
-        value = self._values.get(tag)
-        kind = {1: "<u1", 3: "<u2", 4: "<u4"}.get(value.kind) if value is not None else None
-        return tuple(np.frombuffer(value.data, kind).tolist()) if value is not None and kind else ()
+        return tuple(self._values[tag].integers) if tag in self._values else ()
 
     def _one(self, tag: int) -> int:
         """Return an integer in a tag; 0 if it is missing."""
@@ -250,9 +237,41 @@ def swapped(tiff: Tiff, pixels: Array) -> Array:
     return pixels
 
 
-def tagged(path: PathLike, tiff: Tiff, added: Folder, sized: bool) -> None:
-    """Write the tags that libvips does not, in all pages of a TIFF, and correct those that it makes up."""
-    changed: Folder = dict(tiff.tags)
+def parts(height: int, size: int, threads: int, options: dict[str, Any]) -> list[tuple[int, int]]:
+    """Return the first and the last row, exclusive, of parts that are compressed at once; one part if that is all."""
+    step = options.get("tile_height", 128)  # libvips compresses so many rows together
+    count = -(-height // step)
+    able = _LEAST < size < _MOST and "page_height" not in options and not options.get("bigtiff")
+    some = min(threads, count, _AT_ONCE) if able else 1
+    ends = [min(k * count // some * step, height) for k in range(some + 1)]
+    return list(itertools.pairwise(ends))
+
+
+def _appended(path: PathLike, parts: Sequence[PathLike]) -> Folder:
+    """Append TIFFs of further rows to a file; return the tags that make all one page."""
+    numbers: dict[int, list[int]] = {}
+    with open(path, "rb+") as file:
+        for part in (path, *parts):
+            base = file.seek(0, os.SEEK_END) if part is not path else 0
+            with open(part, "rb") as held:
+                reader = Reader(held)
+                for entry in reader.entries(reader.first)[0]:
+                    tag, value = reader.form.number(entry[:2]), reader.value(entry)
+                    if tag in (_LENGTH, *_OFFSETS, *_COUNTS) and value is not None:
+                        numbers.setdefault(tag, []).extend(n + base * (tag in _OFFSETS) for n in value.integers)
+                if part is not path:
+                    held.seek(0)
+                    shutil.copyfileobj(held, file)
+    numbers[_LENGTH] = [sum(numbers[_LENGTH])]
+    return {tag: Value(4, np.array(some, "<u4").tobytes()) for tag, some in numbers.items()}
+
+
+def tagged(path: PathLike, tiff: Tiff, added: Folder, sized: bool, parts: Sequence[PathLike] = ()) -> None:
+    """Write the tags that libvips does not, in all pages of a TIFF, and correct those that it makes up.
+
+    ``parts`` are TIFFs of further rows, which become part of the page.
+    """
+    changed = tiff.tags | (_appended(path, parts) if parts else {})
     if not tiff.is_saved:
         changed[_PHOTOMETRIC] = _shorts(tiff.photometric)
     if tiff.extra:

@@ -6,7 +6,7 @@ import contextlib
 import errno
 import os
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -131,12 +131,17 @@ def sequential(path: PathLike, *, fail_on: str = "error", **options: Any) -> Any
 
 def apart(work: Callable[[], T], image: Any = None) -> T:
     """Run work of libvips in another thread: in this one, its callbacks would swallow and print an interrupt."""
-    with ThreadPoolExecutor(1) as thread:
-        future = thread.submit(work)
+    return together([work], [] if image is None else [image])[0]
+
+
+def together(works: Sequence[Callable[[], T]], images: Sequence[Any]) -> list[T]:
+    """Run works of libvips on images in threads of their own, as `apart`."""
+    with ThreadPoolExecutor(len(works)) as threads:
+        futures = [threads.submit(work) for work in works]
         try:
-            return future.result()
+            return [future.result() for future in futures]
         except BaseException:
-            if image is not None:
+            for image in images:
                 image.set_kill(True)  # otherwise, it would run to the end
             raise
 
