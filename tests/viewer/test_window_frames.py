@@ -5,6 +5,7 @@ from __future__ import annotations
 import shutil
 import time
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,7 @@ from supple.errors import SuppleError
 from supple.gpu.device import Gpu
 from supple.media import image
 from supple.strokes import Recipe, Stroke
+from supple.viewer.panels import stages
 from supple.viewer.panels.view import TOP
 from tests.clips import make
 from tests.viewer.windows import Hand, in_pixels, opened, small_photo, wait_for
@@ -256,11 +258,14 @@ def test_a_compared_step_of_a_volume_is_solved_once(
     gpu: Gpu, volume: Path, monkeypatch: pytest.MonkeyPatch, software: bool
 ) -> None:
     from supple.render.scene import Scene
+    from supple.viewer.window import window
 
     solved: list[Any] = []
     deformed = Scene.deformed
     monkeypatch.setattr(Scene, "deformed", lambda scene, made: solved.append(made) or deformed(scene, made))
     monkeypatch.setattr(gpu, "software", software)
+    monkeypatch.setattr(stages, "time", SimpleNamespace(perf_counter=lambda: 0.0))  # however busy the machine is
+    monkeypatch.setattr(window, "FILLING", 60.0)
     one, two = (Stroke.grab((22, 40, z), by=(2, -3, 2), radius=40) for z in (22, 30))
     view, hand = opened(volume, Recipe(border=None, strokes=(one,)), size=(700, 480))
 
