@@ -255,10 +255,11 @@ def test_during_a_drag_pixels_are_those_of_the_export(
 def test_types_of_c_are_those_that_cffi_would_parse(gpu: Gpu) -> None:
     from wgpu.backends.wgpu_native._ffi import ffi
 
-    for text in ("WGPULimits *", "WGPUVertexAttribute[]", "uint8_t []", "WGPUAdapter[]"):
+    called = "void(WGPUMapAsyncStatus, WGPUStringView, void *, void *)"
+    for text in ("WGPULimits *", "WGPUVertexAttribute[]", "uint8_t []", "WGPUAdapter[]", "uintptr_t", called):
         known = ffi._parsed_types.pop(text)
         try:
-            parsed = ffi.typeof(text)
+            parsed = ffi._typeof(text, True)
             assert parsed is known[0] or str(parsed) == str(known[0])
         finally:
             ffi._parsed_types[text] = known

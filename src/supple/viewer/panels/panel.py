@@ -160,14 +160,14 @@ def _exports(view: View, asked: Question) -> None:
     if kind == "volume":
         return
     if kind == "image":
-        lossy, ways = saved(path)
+        lossy, hows = saved(path)
         chosen: dict[str, Any] = {}
         if lossy:
             known = int(commands.options.get("quality") or 0)
             form, tip = "%.0f" if known else "as usual", "From 1 to 100; 0 for what the format usually has"
             chosen["quality"] = round(slider("Quality", known, 0, 100, form, tip)) or None
-        elif ways:
-            named: dict[Any, str] = {None: "as usual"} | {name: name for name in ways}
+        elif hows:
+            named: dict[Any, str] = {None: "as usual"} | {name: name for name in hows}
             chosen["compression"] = choice("Compression", commands.options.get("compression"), named, _WAYS)
         commands.options = {**commands.options, **chosen}
         return
