@@ -108,12 +108,14 @@ def test_after_a_drag_what_it_drew_roughly_is_exact(gpu: Gpu, noise: np.ndarray)
     for k in range(4):
         d = bent(first, frozen, Stroke.grab((150 + 20 * k, 210), by=(12, -15), radius=25))
         whole = drawn(gpu, Warped(gpu, Levels(noise)), d, exact)
-        apart.append(np.abs(drawn(gpu, warped, d, rough) - whole).max())
+        off = np.abs(drawn(gpu, warped, d, rough) - whole)
+        assert off.mean() < 2
+        apart.append(off.max())
         if k % 2:
             off = np.abs(drawn(gpu, warped, d, exact) - whole)
             assert off.max() <= 1
             assert np.count_nonzero(off) < 0.002 * off.size
-    assert 1 < max(apart) < 40  # of noise
+    assert 1 < max(apart) < 150  # of noise, from pixel to pixel
 
 
 def test_a_box_holds_all_that_changes() -> None:
