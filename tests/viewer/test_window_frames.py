@@ -17,6 +17,7 @@ from supple.gpu.device import Gpu
 from supple.media import image
 from supple.strokes import Recipe, Stroke
 from supple.viewer.panels import stages
+from supple.viewer.panels import view as views
 from supple.viewer.panels.view import TOP
 from tests.clips import make
 from tests.viewer.windows import Hand, in_pixels, opened, small_photo, wait_for
@@ -333,7 +334,10 @@ def test_a_gif_that_moves_is_a_clip_at_its_own_times(gpu: Gpu, tmp_path: Path) -
     assert still.stage.kind == "image"
 
 
-def test_controls_follow_a_drag_in_each_fourth_frame_and_marks_at_once(gpu: Gpu, tmp_path: Path) -> None:
+def test_controls_follow_a_drag_in_each_fourth_frame_and_marks_at_once(
+    gpu: Gpu, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(views, "SETTLED", 1e9)  # the pointer never rests
     view, hand = opened(small_photo(tmp_path))
     laid: list[str] = []
     for name in ("_controls", "_marks"):
@@ -353,8 +357,8 @@ def test_controls_follow_a_drag_in_each_fourth_frame_and_marks_at_once(gpu: Gpu,
     width = int(view.area[0])
     np.testing.assert_array_equal(after[:, width:], before[:, width:])  # the panel is still there
     assert (after[:, :width] != before[:, :width]).any()
-    for work in (lambda: None, lambda: hand.release(220, 200)):
-        laid.clear()
+    for work in (lambda: None, lambda: monkeypatch.setattr(views, "SETTLED", -1.0), lambda: hand.release(220, 200)):
         work()
+        laid.clear()
         hand.canvas.draw()
         assert sorted(laid) == ["_controls", "_marks"]

@@ -323,8 +323,8 @@ class Window(View):
         rests = slow and tools.dragging and self._lately  # the image waits until the pointer rests
         self.computing = slow and not rests and not self.computing
         self._behind += 1
-        if all_of_it := not tools.dragging or self.computing or self._behind >= FOLLOWED:
-            self._behind = 0
+        if all_of_it := not (tools.dragging and self._lately) or self.computing or self._behind >= FOLLOWED:
+            self._behind = 0  # at rest, too: they would be behind for long
         self._gui.lay(all=all_of_it)
         if self._gui.trouble:
             self.commands.message = self._gui.trouble
