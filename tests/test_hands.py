@@ -10,6 +10,7 @@ import numpy.typing as npt
 import pytest
 
 from supple import Deformation, Recipe
+from supple.space.freezing import Freeze
 from supple.strokes import Stroke, legs
 from tests import reference
 from tests.strokes import refusal
@@ -275,6 +276,17 @@ class TestPush:
         (both,) = stroke.symmetric((100, 0), (1, 0))
         ends = Deformation((120, 200)).add(both).forward([(40, 60), (160, 60)])
         np.testing.assert_allclose(ends, [(48, 60), (152, 60)], atol=1e-6)
+
+    @pytest.mark.parametrize("begin", [20, 25, 28])
+    def test_across_the_edge_of_what_is_frozen_it_leaves_no_notch(self, begin: int) -> None:
+        held = Freeze.of(np.tile(np.arange(200) > 120, (200, 1)), width=40)
+        stroke = Stroke.push([(begin, 100), (begin + 160, 100)], by=10, radius=20)
+        d = Deformation((200, 200), freeze=held).add(stroke, warn=False)
+        x = np.arange(60.0, 160.0)
+        moved = 100 - d.forward(np.stack([x, np.full_like(x, 100.0)], axis=1))[:, 1]
+        assert 9.9 < moved.max() < 10.3
+        assert (np.diff(moved[25:]) < 0.01).all()  # it only falls, into the frozen part
+        assert d.arrivals[0].also[-1].cause == "freeze"
 
     def test_what_is_no_way_is_refused(self) -> None:
         def push(path: Any, by: Any = 5) -> str:

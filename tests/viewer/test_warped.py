@@ -108,12 +108,14 @@ def test_after_a_drag_what_it_drew_roughly_is_exact(gpu: Gpu, noise: np.ndarray)
     for k in range(4):
         d = bent(first, frozen, Stroke.grab((150 + 20 * k, 210), by=(12, -15), radius=25))
         whole = drawn(gpu, Warped(gpu, Levels(noise)), d, exact)
-        apart.append(np.abs(drawn(gpu, warped, d, rough) - whole).max())
+        off = np.abs(drawn(gpu, warped, d, rough) - whole)
+        assert off.mean() < 2
+        apart.append(off.max())
         if k % 2:
             off = np.abs(drawn(gpu, warped, d, exact) - whole)
             assert off.max() <= 1
             assert np.count_nonzero(off) < 0.002 * off.size
-    assert 1 < max(apart) < 40  # of noise
+    assert 1 < max(apart) < 150  # of noise, from pixel to pixel
 
 
 def test_a_box_holds_all_that_changes() -> None:
@@ -255,10 +257,11 @@ def test_during_a_drag_pixels_are_those_of_the_export(
 def test_types_of_c_are_those_that_cffi_would_parse(gpu: Gpu) -> None:
     from wgpu.backends.wgpu_native._ffi import ffi
 
-    for text in ("WGPULimits *", "WGPUVertexAttribute[]", "uint8_t []", "WGPUAdapter[]"):
+    called = "void(WGPUMapAsyncStatus, WGPUStringView, void *, void *)"
+    for text in ("WGPULimits *", "WGPUVertexAttribute[]", "uint8_t []", "WGPUAdapter[]", "uintptr_t", called):
         known = ffi._parsed_types.pop(text)
         try:
-            parsed = ffi.typeof(text)
+            parsed = ffi._typeof(text, True)
             assert parsed is known[0] or str(parsed) == str(known[0])
         finally:
             ffi._parsed_types[text] = known

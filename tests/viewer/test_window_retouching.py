@@ -266,7 +266,8 @@ def test_an_export_has_its_options_beside_its_name(gpu: Gpu, photo: Path, tmp_pa
     hand.key("e", "Control")
     for _ in range(3):
         hand.canvas.draw()
-    assert "##quality" not in places  # a PNG has none
+    assert "##quality" not in places  # a PNG has none, and is compressed without loss
+    assert "##compression" in places
     hand.click(places["##format"])
     hand.canvas.draw()
     view.commands.asked.path = str(tmp_path / "photo-bent.jpg")
@@ -286,7 +287,12 @@ def test_an_export_has_its_options_beside_its_name(gpu: Gpu, photo: Path, tmp_pa
     view.commands.begin_export(tmp_path / "fine.jpg")
     assert view.commands.export.join(60)
     assert (tmp_path / "fine.jpg").stat().st_size > 1.5 * small
-    # A quality that a format does not have is no reason to fail.
-    view.commands.begin_export(tmp_path / "photo-bent.png")
-    assert view.commands.export.join(60)
-    assert view.commands.export.error is None
+    # A quality, or a compression, that a format does not have is no reason to fail.
+    sizes = []
+    for how, name in (("none", "plain.png"), ("9", "small.png"), ("lzw", "other.png"), ("lzw", "picture.tif")):
+        view.commands.options = {**view.commands.options, "compression": how}
+        view.commands.begin_export(tmp_path / name)
+        assert view.commands.export.join(60)
+        assert view.commands.export.error is None
+        sizes.append((tmp_path / name).stat().st_size)
+    assert sizes[0] > 1.2 * sizes[2] >= 1.2 * sizes[1]

@@ -117,20 +117,25 @@ public:
         const int end = n[2] > 1 ? 64 : n[1] > 1 ? 16 : 4;
         int count = 0;
         for (int d = 0; d < 3; d++) {  // the coefficients around, axis by axis
-            double c[64] = {}, next[64];
+            double c[64] = {};
             for (int k = 0; k < n[2]; k++)
                 for (int j = 0; j < n[1]; j++)
                     for (int i = 0; i < n[0]; i++)
                         c[16 * k + 4 * j + i] =
                             values[((int64_t)(from[2] + k) * size[1] + from[1] + j) * size[0] + from[0] + i];
             for (int axis = 0; axis < 3; axis++) {
+                if (n[axis] == 1 && d != axis) continue;
                 const int stride = 1 << 2 * axis;
+                const auto& u = w[d == axis][axis];
                 for (int m = 0; m < end; m++) {
-                    const int p = m / stride % 4;
-                    next[m] = 0;
-                    for (int i = 0; i < n[axis]; i++) next[m] += w[d == axis][axis][p][i] * c[m + (i - p) * stride];
+                    if (m >> 2 * axis & 3) continue;  // lines along the axis begin elsewhere
+                    double* line = c + m;
+                    const double own[4] = {line[0], line[stride], line[2 * stride], line[3 * stride]};
+                    for (int p = 0; p < 4; p++) {
+                        line[p * stride] = 0;
+                        for (int i = 0; i < 4; i++) line[p * stride] += u[p][i] * own[i];
+                    }
                 }
-                std::copy(next, next + end, c);
             }
             count = 0;
             for (int r = 0; r < n[2]; r++)

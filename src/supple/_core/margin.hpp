@@ -450,7 +450,9 @@ private:
         const double first = free_of[1] + mask.most() * masked[1] + turned(0, 0) * masked[0];
         found.simple = -(value * first + steepest * (free_of[0] + mask.most() * masked[0])) * (1 + 1e-12);
         if (steepest == 0 && turn == 0) found.simple = std::max(found.simple, free);
-        if (turn > 0) found.simple = std::max(found.simple, beside(box, value, steepest));
+        // Where the others are enough, and not the lowest so far, this takes time for nothing.
+        if (turn > 0 && found.simple < std::max(enough(), known.lower))
+            found.simple = std::max(found.simple, beside(box, value, steepest));
         return found;
     }
 

@@ -350,9 +350,12 @@ def pulled(stroke: Stroke, domain: Domain, on_fold: FoldPolicy) -> Resolved:
     frozen &= (start != goal).any(axis=1)
     if frozen.any():
         return _without(stroke, frozen, domain, on_fold)
+    held = freedom_at(start, domain) if stroke.name == "push" else np.ones(len(start))
+    goal = start + held[:, None] * (goal - start)  # to arrive at the edge, it would leave a notch beside it
     _check_handles(stroke, start, goal, domain, arrives=on_fold == "flow")
     if on_fold == "flow":
-        return _flow_together(stroke, domain, table, goal)
+        made = _flow_together(stroke, domain, table, goal)
+        return replace(made, cause="freeze") if held.min() < 1 else made
     table["force"] = _forces(table, goal - start, domain)
     _check_arrival(stroke, domain, _moved(table, domain, start), start, goal)
     # Where μ is known to be that low anywhere, no closer bound is needed elsewhere.

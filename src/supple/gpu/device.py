@@ -10,6 +10,7 @@ import sys
 import tempfile
 import threading
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 from supple.errors import SuppleError, argument
@@ -63,15 +64,22 @@ def _know_types() -> None:
     """
     with contextlib.suppress(Exception):
         import _cffi_backend  # type: ignore[import-untyped]
+        from wgpu.backends.wgpu_native import _api
         from wgpu.backends.wgpu_native._ffi import ffi
 
-        names = [name for name in ffi.list_types()[0] if name.startswith("WGPU")] + ["char", "uint8_t", "uint32_t"]
-        pointers = ffi.typeof(f"void(*)({', '.join(f'{name} *' for name in names)})").args
+        names = [name for name in ffi.list_types()[0] if name.startswith("WGPU")]
+        names += ["char", "uint8_t", "uint32_t", "intptr_t", "uintptr_t"]
+        calls = re.findall(r'^ *@ffi\.callback\(\s*"(void[^"]+)"', Path(_api.__file__).read_text("utf-8"), re.MULTILINE)
+        whole = ", ".join([*(f"{name} *" for name in names), *(call.replace("(", "(*)(", 1) for call in calls)])
+        pointers = ffi.typeof(f"void(*)({whole})").args
         known = ffi._parsed_types
-        for name, pointer in zip(names, pointers, strict=True):
+        for call, kind in zip(calls, pointers[len(names) :], strict=True):
+            known.setdefault(call, (kind, True))
+        for name, pointer in zip(names, pointers, strict=False):
             array = _cffi_backend.new_array_type(pointer, None)
-            for text, kind in ((f"{name} *", pointer), (f"{name}[]", array), (f"{name} []", array)):
-                known.setdefault(text, (kind, False))
+            pairs = ("", pointer.item), (" *", pointer), (" * ", pointer), ("[]", array), (" []", array)
+            for text, kind in pairs:
+                known.setdefault(f"{name}{text}", (kind, False))
 
 
 @functools.cache

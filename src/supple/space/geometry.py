@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass, field
 from itertools import permutations, product
 from typing import Any, Self
@@ -275,8 +276,8 @@ class Grid:
             starts[i] = integer(f"first[{i}]", starts[i], f"an index from 0 to {size - 1}", 0, size - 1)
             most = size - starts[i]
             counts[i] = integer(f"sizes[{i}]", counts[i], f"a number of samples from 1 to {most}", 1, most)
-        made = type(self)(counts[::-1], self.spacing, self.positions(starts).tolist(), self.direction)
-        assign(made, first=tuple(map(sum, zip(self.first, starts, strict=True))), whole=self.whole, start=self.start)
+        made, first = copy(self), tuple(map(sum, zip(self.first, starts, strict=True)))
+        assign(made, shape=tuple(counts[::-1]), origin=tuple(self.positions(starts).tolist()), first=first)
         return made
 
     def uncropped(self) -> Self:

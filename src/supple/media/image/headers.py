@@ -74,9 +74,10 @@ def _quantization(data: bytes) -> Any:
 
 @lru_cache(maxsize=1)
 def _all_steps() -> Any:
-    """Return the steps of JPEGs of each quality from 1 to 100, as libvips writes them."""
-    dot = pyvips.Image.black(8, 8)
-    return np.array([_quantization(dot.jpegsave_buffer(Q=quality)) for quality in range(1, 101)])
+    """Return the steps of JPEGs of each quality from 1 to 100, as libvips writes them, by libjpeg's formula."""
+    quality, middle = np.arange(1, 101)[:, None], _quantization(pyvips.Image.black(8, 8).jpegsave_buffer(Q=50))
+    percent = np.where(quality < 50, 5000 // quality, 200 - 2 * quality)
+    return np.clip((middle * percent + 50) // 100, 1, 255)
 
 
 def facts(image: Any) -> tuple[int, int, int]:

@@ -10,7 +10,7 @@ import secrets
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -28,7 +28,7 @@ from supple.files.registrations import write_map
 from supple.files.tracking import track
 from supple.media.files import check_output, locked, replacing, same_file
 from supple.media.image import check_target
-from supple.media.image.formats import SUFFIXES_OUT as PICTURES_OUT
+from supple.media.image.formats import COMPRESSIONS, OUT
 from supple.media.medium import VIDEOS_OUT, opened
 from supple.media.suffixes import ANIMATED
 from supple.media.volume import SUFFIXES_OUT as VOLUMES_OUT
@@ -503,8 +503,9 @@ class FileCommands:
         else:
             if self.document.kind == "video":
                 options["clip"] = replace(options.get("clip", ClipOptions()), hold=self.document.hold)
-            if suffix_of(path) not in LOSSY:
-                options.pop("quality", None)
+            lossy, ways = saved(path)
+            options["quality"] = options.get("quality") if lossy else None
+            options["compression"] = how if (how := options.get("compression")) in ways else None
             Job(self.source, path, recipe, force=force, **options).check()
         self.message = ""
         self.export = Task(partial(work, self.source, path, recipe, force=force, **options), path)
@@ -529,9 +530,16 @@ class FileCommands:
             self.autosave.clear(keep=self.document.dirty)
 
 
+def saved(path: PathLike) -> tuple[bool, Sequence[str]]:
+    """Return whether pictures of a name have a quality; and if not, how they may be compressed."""
+    form = OUT.get(suffix_of(path).lower())
+    lossy = form is not None and form.quality > 0
+    return lossy, () if form is None or lossy else COMPRESSIONS.get(form.name, ())
+
+
 # The suffixes of each kind, and those proposed for formats that are only read.
 _WRITTEN: dict[Kind | None, tuple[Collection[str], str]] = {
-    "image": (PICTURES_OUT, ".png"),
+    "image": (OUT, ".png"),
     "video": ({*VIDEOS_OUT, *ANIMATED, ".gif", ".m4v"}, ".mp4"),
     "volume": (VOLUMES_OUT, ".nii.gz"),
 }
@@ -539,7 +547,6 @@ _OVER = "There are strokes that were not saved. Undo brings them back, but only 
 _OPEN = "A recipe takes the place of the strokes here; a picture, clip or volume opens in a window of its own."
 _LOAD = "A grey picture, in which white is frozen; for a volume a label map, in which all but 0 is."
 _WAYS_OUT = ("Save and close", "Replace and close", "Close without saving", "Cancel")
-LOSSY = (".jpg", ".jpeg", ".webp", ".avif")
 _KEEP = ("Save", "Replace", "Cancel")
 _ASKED = {
     "save": ("Save the recipe", "The strokes, which supple warp --recipe applies to files.", _KEEP),

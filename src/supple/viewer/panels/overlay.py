@@ -452,19 +452,17 @@ def bars(view: View) -> None:
 def _handles(view: View, lines: imgui.ImDrawList) -> None:
     tools = view.tools
     assert isinstance(tools, ImageTools)
-    ((a, b, left), (c, d, top), (g, h, depth)), zoom = tools.view.matrix, tools.view.zoom
     timed = view.document.timed
 
-    def placed(point: Point) -> Pair:  # as the viewport does, which finds its zoom anew for each
-        x, y, w = point[0], point[1], depth + g * point[0] + h * point[1]
-        return (left + a * x + b * y) / w, (top + c * x + d * y) / w
+    def placed(point: Point) -> Pair:
+        return tools.view.to_canvas(*point[:2])
 
     def there(point: Point) -> bool:
         return not timed or abs(point[2] - view.frame) <= 0.5
 
     def ball(start: Pair, point: Point, radius: float) -> None:
         if there(point):
-            ring(lines, start, radius * zoom, tools.stretch, theme.BALL)
+            ring(lines, start, radius * tools.view.zoom, tools.stretch, theme.BALL)
 
     keyframes.path(view, lines, placed)
     strokes(view, lines, placed, there, ball)

@@ -15,7 +15,7 @@ from supple.files.options import ClipOptions
 from supple.media.transforms import CONVENTIONS
 from supple.media.volume import suffix_of
 from supple.viewer.document.background import Task
-from supple.viewer.document.files import LOSSY, Question
+from supple.viewer.document.files import Question, saved
 from supple.viewer.document.settings import keep
 from supple.viewer.panels import faces, registering, straightening, strokes, theme, volume
 from supple.viewer.panels.actions import ACTIONS
@@ -143,6 +143,7 @@ _BETWEEN = (
     "How an export samples between two frames: flow, the usual way where OpenCV is installed, follows their motion. "
     "Here, they are mixed, as by linear"
 )
+_WAYS = "None of these loses anything. From 0, none, to 9, the smallest and slowest; fast takes least time"
 _FILTER = "Average over several frames where strokes speed time up: motion blur instead of jagged edges"
 
 
@@ -159,12 +160,16 @@ def _exports(view: View, asked: Question) -> None:
     if kind == "volume":
         return
     if kind == "image":
-        if suffix in LOSSY:
+        lossy, hows = saved(path)
+        chosen: dict[str, Any] = {}
+        if lossy:
             known = int(commands.options.get("quality") or 0)
             form, tip = "%.0f" if known else "as usual", "From 1 to 100; 0 for what the format usually has"
-            number = slider("Quality", known, 0, 100, form, tip)
-            if number != known:
-                commands.options = {**commands.options, "quality": round(number) or None}
+            chosen["quality"] = round(slider("Quality", known, 0, 100, form, tip)) or None
+        elif hows:
+            named: dict[Any, str] = {None: "as usual"} | {name: name for name in hows}
+            chosen["compression"] = choice("Compression", commands.options.get("compression"), named, _WAYS)
+        commands.options = {**commands.options, **chosen}
         return
     clip = commands.options.get("clip") or ClipOptions()
     made: dict[str, Any] = {}

@@ -6,6 +6,7 @@ import itertools
 import math
 from dataclasses import dataclass, replace
 from fractions import Fraction
+from functools import cached_property, lru_cache
 from typing import Self
 
 from supple.viewer.tools.drawing import Pair
@@ -34,7 +35,7 @@ def turn_of(rotation: float, aspect: Fraction | None = None, *, mirrored: bool =
     return wide * cosine, sine, -wide * sine, cosine
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Viewport:
     """An image on a canvas, turned as it is shown, zoomed and panned.
 
@@ -63,12 +64,12 @@ class Viewport:
             x, y = (min(max(c, -0.5), n - 0.5) for c, n in zip(centre, self.image_size, strict=True))
             object.__setattr__(self, "held", (min(max(zoom, low), high), (x, y)))
 
-    @property
+    @cached_property
     def zoom(self) -> float:
         """The logical pixels of the canvas for each pixel of the image, where `stretch` is 1."""
         return self._fit if self.held is None else self.held[0]
 
-    @property
+    @cached_property
     def centre(self) -> Pair:
         """The point of the image in the centre of the canvas."""
         width, height = self.image_size
@@ -85,13 +86,13 @@ class Viewport:
         actual = 1 / self.pixel_ratio
         return FARTHEST * min(self._fit, actual), max(self._fit, CLOSEST * actual)
 
-    @property
+    @cached_property
     def stretch(self) -> Pair:
         """The extent of a pixel of the image as it is shown, to the right and down: 1 where pixels are square."""
         a, b, c, d = self.turn
         return math.hypot(a, b), math.hypot(c, d)
 
-    @property
+    @cached_property
     def _fit(self) -> float:
         (width, height), (a, b, c, d), (g, h) = self.canvas_size, self.turn, self.vanishing
         x, y = (n / 2 for n in self.image_size)
@@ -99,7 +100,7 @@ class Viewport:
         across, down = (max(abs(i * p + j * q) / w for p, q, w in ends) for i, j in ((a, b), (c, d)))
         return min(width / (2 * across), height / (2 * down))
 
-    @property
+    @cached_property
     def _near(self) -> tuple[Turn, Pair]:
         """The turn, and what vanishes, about the centre of the canvas."""
         (a, b, c, d), (g, h) = self.turn, self.vanishing
@@ -110,7 +111,7 @@ class Viewport:
         u, v = (a * x + b * y) / w, (c * x + d * y) / w
         return ((a - u * g) / w, (b - u * h) / w, (c - v * g) / w, (d - v * h) / w), (g / w, h / w)
 
-    @property
+    @cached_property
     def matrix(self) -> tuple[tuple[float, float, float], ...]:
         """The homogeneous matrix from points of the image to those of the canvas."""
         ((a, b, c, d), (g, h)), zoom, (cx, cy) = self._near, self.zoom, self.centre
@@ -146,6 +147,7 @@ class Viewport:
         p, q = (d * x - b * y) / size, (a * y - c * x) / size
         return p, q, 1 - g * p - h * q
 
+    @lru_cache(maxsize=2)  # noqa: B019 - of the last views
     def drawn(self, size: tuple[int, int], ratio: float) -> tuple[Pair, float, tuple[int, int], Part]:
         """Return what is drawn of the image, along its axes, for a canvas of physical pixels; it is as fine as these.
 
