@@ -217,18 +217,6 @@ def test_off_the_only_plane_of_an_axis_the_map_is_as_on_it(shape: tuple[int, ...
     np.testing.assert_allclose(found.points, reference.inverse(strokes, d.domain, p), atol=1e-7)
 
 
-@pytest.mark.parametrize("reach", [1.0, 2.5, 4.0])
-def test_outside_the_ball_points_keep_every_bit(reach: float) -> None:
-    d = Deformation((60, 80), border=None, on_fold="damp").grab((40, 30), by=(1.5, -2.5), radius=6, reach=reach)
-    q = np.random.default_rng(3).uniform(0, 80, (4000, 2))
-    outside = np.linalg.norm(q - (40, 30), axis=1) >= 6 * reach
-    assert 0.2 < outside.mean() < 1
-    np.testing.assert_array_equal(d.forward(q)[outside], q[outside])
-    np.testing.assert_array_equal(d.jacobian(q)[outside], np.broadcast_to(np.eye(2), (int(outside.sum()), 2, 2)))
-    np.testing.assert_array_equal(d.inverse(q).points[outside], q[outside])
-    assert (d.forward(q)[~outside] != q[~outside]).any(axis=1).mean() > 0.99
-
-
 def test_what_the_core_is_given_is_checked() -> None:
     d = Deformation((20, 30), border=64, on_fold="damp").grab((9, 9), by=(2, 1), radius=5, reach=None)
     rows, points = numbers(d.space.table), np.zeros((4, 3))

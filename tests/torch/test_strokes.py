@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -13,14 +12,7 @@ import pytest
 import supple
 from supple import Freeze
 from supple.errors import SuppleError
-
-if os.environ.get("SUPPLE_TEST_TORCH") == "1":
-    import torch
-else:
-    torch = pytest.importorskip("torch")
-
-import supple.torch as bending
-from tests.torch.shared import DOUBLE, bent, check, numbers, picture
+from tests.torch.shared import DOUBLE, bending, bent, check, numbers, picture, torch
 from tests.turns import AFFINE
 
 pytestmark = pytest.mark.filterwarnings("ignore::supple.FoldWarning", "ignore::supple.MissWarning")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import os
 import re
 import warnings
 from collections.abc import Callable
@@ -14,16 +13,8 @@ import pytest
 
 import supple
 from supple.errors import FoldWarning, SuppleError
-
-if os.environ.get("SUPPLE_TEST_TORCH") == "1":
-    import torch
-else:
-    torch = pytest.importorskip("torch")
-
-import supple.torch as bending
-from supple.torch import warping
 from tests.engine.table import Limits, Row, rows
-from tests.torch.shared import DOUBLE, bent, check, no_kinks, numbers, picture, smooth
+from tests.torch.shared import DOUBLE, bending, bent, check, no_kinks, numbers, picture, smooth, torch
 
 ROWS = [
     *rows(["image", "image, local", "image, turned"], ("bool", "u1", "i2", "f4", "f8"), few=True),
@@ -195,7 +186,7 @@ def test_parts_at_a_time_make_no_difference(monkeypatch: pytest.MonkeyPatch) -> 
     d = bent((20, 30))
     results = []
     for room in (1 << 23, 1 << 12):
-        monkeypatch.setattr(warping, "_ROOM", room)
+        monkeypatch.setattr(bending.warping, "_ROOM", room)
         image, given = smooth(2, 20, 30).requires_grad_(), numbers(d)
         made = bending.warp(image, d, **given)
         made.square().sum().backward()
