@@ -148,13 +148,6 @@ def test_an_independent_solver_finds_the_same(seed: int) -> None:
     assert (np.linalg.norm(found.points - expected, axis=-1) <= 1e-8 * (1 + 1 / weakest)).all()
 
 
-def test_few_steps_are_needed() -> None:
-    d = Deformation((200, 200), border=64, on_fold="damp").grab((100, 100), by=(0, 35), radius=40, reach=None)
-    steps = d.inverse(reference.grid((200, 200))[::8, ::8]).steps
-    assert steps.mean() < 6
-    assert steps.max() < 12
-
-
 ALONE = 40 + 8 + 2  # evaluations of Newton's method from where one looks, and of its polish
 
 

@@ -32,7 +32,7 @@ def test_the_order_of_bytes_makes_no_difference(dtype: str) -> None:
 
 @MEDIA
 @pytest.mark.filterwarnings("ignore::supple.ToleranceWarning")  # float32 does not count so far
-@pytest.mark.parametrize("size", [1e9, 1e20, 1e30])
+@pytest.mark.parametrize("size", [1e9, 1e30])
 def test_as_far_outside_as_numbers_go(shape: Shape, size: float) -> None:
     shape = (3, 280) if shape == IMAGE else (3, 5, 50)
     at, by = [0.5 * n for n in shape[::-1]], (size, size / 3, -size / 5)[: len(shape)]

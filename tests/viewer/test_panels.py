@@ -61,15 +61,17 @@ def all_open(tmp_path: Path) -> None:
 
 @pytest.mark.usefixtures("all_open")
 @pytest.mark.parametrize("kind", ["photo", "clip", "moving", "head"])
-def test_every_control_can_be_clicked(gpu: Gpu, seen: dict[str, tuple[float, float]], kind: str) -> None:
+def test_every_control_can_be_clicked(
+    gpu: Gpu, seen: dict[str, tuple[float, float]], kind: str, clip: Path, volume: Path
+) -> None:
     if kind == "photo":
         source, strokes = DATA / "coffee.jpg", FLAT
     elif kind == "moving":
-        source, strokes = DATA / "bunny.mp4", (replace(FLAT[0], keys=(Key(0, at=(200, 120)), Key(9, strength=0.5))),)
+        source, strokes = clip, (replace(FLAT[0], keys=(Key(0, at=(200, 120)), Key(9, strength=0.5))),)
     elif kind == "clip":
-        source, strokes = DATA / "bunny.mp4", (Stroke(at=(200, 120, 9), by=(20, 10, 3), radius=40),)
+        source, strokes = clip, (Stroke(at=(200, 120, 9), by=(20, 10, 3), radius=40),)
     else:
-        source, strokes = DATA / "head.nii.gz", DEEP
+        source, strokes = volume, (Stroke(at=(20, 30, 25), by=(3, 0, 1), radius=20),)
     # All of the panel, and little beside it: a program takes its time for each pixel.
     view, hand = opened(source, Recipe(border=None, strokes=strokes), size=(WIDE + 120, 1400))
     view.document.select(0)
@@ -393,9 +395,9 @@ def test_a_number_that_is_typed_counts_when_it_is_left(
     assert view.document.strokes[0].at[0] == before  # it is one step
 
 
-def test_options_of_an_export(gpu: Gpu, seen: dict[str, tuple[float, float]], tmp_path: Path) -> None:
+def test_options_of_an_export(gpu: Gpu, seen: dict[str, tuple[float, float]], tmp_path: Path, clip: Path) -> None:
     stroke = Stroke(at=(120, 80, 4), by=(14, 6, 0), radius=40)
-    view, hand = opened(DATA / "bunny.mp4", Recipe(border=None, strokes=(stroke,)), size=(SIZE[0], 1600))
+    view, hand = opened(clip, Recipe(border=None, strokes=(stroke,)), size=(SIZE[0], 1600))
     view.commands.ask("export")
     for _ in range(3):
         hand.canvas.draw()

@@ -71,7 +71,7 @@ def test_a_job_by_hand(
 ) -> None:
     sliders: dict[str, tuple[float, float]] = {}
     watch(monkeypatch, "slider_float", lambda name, label, a, b: sliders.update({label: (a.x + 20, 0.5 * (a.y + b.y))}))
-    view, hand = opened(DATA / f"{picture}.jpg", size=(1280, 800))
+    view, hand = opened(DATA / f"{picture}.jpg", size=(1000, 640))
     tools = view.tools
     assert tools.radius == min(view.document.shape) / 12
     assert 4 * len(hands.split()) < 60  # seconds, of which a drag takes two
