@@ -118,7 +118,7 @@ def level_of(large: float, small: float) -> tuple[int, float]:
 
 
 @pytest.mark.parametrize(("large", "small"), SHRINKAGES)
-@pytest.mark.parametrize("angle", [0.0, 0.5, math.pi / 4, 2.0])
+@pytest.mark.parametrize("angle", [0.0, 0.5])
 def test_second_moments_are_those_of_the_residual_footprint(large: float, small: float, angle: float) -> None:
     """Of the weights around each point, averaged over all places within a block of the pyramid."""
     size, blocks = 160, 8
@@ -184,16 +184,15 @@ NEXT_SPOT_FADES_IN = [1 + (1.7 * (k + 0.75)) ** 2 for k in (0, 1, 4, 14, 15)]
         pytest.param(lambda t: t, lambda t: 2.0, [400 * 3.2, 400 * 4.0], id="the level of a long footprint"),
     ],
 )
-@pytest.mark.parametrize("angle", [0.0, 0.6])
 def test_nothing_steps_at_a_threshold(
-    large: Callable[[float], float], small: Callable[[float], float], thresholds: list[float], angle: float
+    large: Callable[[float], float], small: Callable[[float], float], thresholds: list[float]
 ) -> None:
     rng = np.random.default_rng(2)
     source = rng.uniform(0, 255, (96, 96, 1))
     points = rng.uniform(20, 75, (40, 2))
 
     def at(t: float) -> Floats:
-        return np.asarray(reference.sample(source, points, symmetric(large(t), small(t), angle)))
+        return np.asarray(reference.sample(source, points, symmetric(large(t), small(t), 0.6)))
 
     for t in thresholds:
         assert np.abs(at(t * (1 + 1e-9)) - at(t * (1 - 1e-9))).max() < 1e-4
