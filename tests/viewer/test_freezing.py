@@ -26,9 +26,6 @@ from tests.viewer.test_window_brushes import both
 from tests.viewer.tools import arrived, clip, down, drag, image, move, press, up, wheel
 from tests.viewer.windows import Hand, opened, watch
 
-pytest.importorskip("rendercanvas")
-pytest.importorskip("imgui_bundle")
-
 
 def state(tools: Tools[Any]) -> tuple[object, bytes]:
     return tools.document.state.content, tools.document.deformation.space.table.tobytes()

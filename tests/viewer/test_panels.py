@@ -19,12 +19,8 @@ from supple.strokes.keys import Key
 from supple.viewer.document.editing import Document
 from supple.viewer.document.files import FileCommands
 from supple.viewer.panels.view import WIDE
-from tests.viewer.windows import SIZE, Hand, handle_of, opened, watch
+from tests.viewer.windows import DATA, SIZE, Hand, handle_of, imgui, opened, watch
 
-imgui = pytest.importorskip("imgui_bundle").imgui
-pytest.importorskip("rendercanvas")
-
-DATA = Path(supple.__file__).parent / "examples" / "data"
 FLAT = (Stroke(at=(200, 120), by=(20, 10), radius=40), Stroke(at=(100, 90), by=(-10, 10), radius=30))
 DEEP = (Stroke(at=(20, 60, 60), by=(3, 0, 1), radius=20),)
 CLICKED: set[tuple[bool, str]] = set()  # controls that a medium before has as well

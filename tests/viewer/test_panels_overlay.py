@@ -10,17 +10,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-import supple
 from supple.errors import SuppleError
 from supple.gpu.device import Gpu
 from supple.media import volume as volumes
 from supple.strokes import Recipe, Stroke
-from tests.viewer.windows import SIZE, opened
-
-pytest.importorskip("rendercanvas")
-pytest.importorskip("imgui_bundle")
-
-DATA = Path(supple.__file__).parent / "examples" / "data"
+from tests.viewer.windows import DATA, SIZE, opened
 
 
 def red(pixels: np.ndarray) -> int:

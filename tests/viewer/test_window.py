@@ -27,12 +27,7 @@ from supple.media.volume import RawLayout
 from supple.strokes import Recipe, Stroke
 from tests.clips import decoded, make, rows
 from tests.viewer.sessions import near
-from tests.viewer.windows import Hand, in_pixels, opened, small_photo, viewing, wait_for
-
-pytest.importorskip("rendercanvas")
-pytest.importorskip("imgui_bundle")
-
-DATA = Path(supple.__file__).parent / "examples" / "data"
+from tests.viewer.windows import DATA, Hand, in_pixels, opened, small_photo, viewing, wait_for
 
 
 @pytest.fixture

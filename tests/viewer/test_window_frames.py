@@ -19,9 +19,6 @@ from supple.viewer.panels.view import TOP
 from tests.clips import make
 from tests.viewer.windows import Hand, in_pixels, opened, small_photo, wait_for
 
-pytest.importorskip("rendercanvas")
-pytest.importorskip("imgui_bundle")
-
 LATER = Stroke.grab((160, 120, 260), by=(0, 0, 30), radius=100)
 
 

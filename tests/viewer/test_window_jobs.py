@@ -10,12 +10,8 @@ import pytest
 import supple
 from supple.gpu.device import Gpu
 from supple.media import image
-from tests.viewer.windows import opened, wait_for, watch
+from tests.viewer.windows import DATA, opened, wait_for, watch
 
-pytest.importorskip("rendercanvas")
-pytest.importorskip("imgui_bundle")
-
-DATA = Path(supple.__file__).parent / "examples" / "data"
 AXIS = "m |220,178>225,105"  # from the chin to the nose
 BEND = "w 171,115>195,115 318,136>342,136 g 225,250>225,275"
 Ends = dict[tuple[int, int], tuple[float, float]]

@@ -32,6 +32,10 @@ from supple.render.scene import Scene
 from supple.viewer.panels.view import TOP
 from tests.children import HEARING, SOURCE
 
+pytest.importorskip("rendercanvas")
+imgui = pytest.importorskip("imgui_bundle").imgui
+
+DATA = Path(supple.__file__).parent / "examples" / "data"
 MUST = os.environ.get("SUPPLE_TEST_WINDOW") == "1"
 SIZE = (1000, 640)
 Pixels = np.ndarray[Any, np.dtype[np.uint8]]
@@ -173,8 +177,6 @@ def close_all() -> None:
 
 def watch(patch: pytest.MonkeyPatch, names: str, put: Callable[[str, str, Any, Any], None]) -> None:
     """Say where the controls of each frame are: by their functions and labels, their upper left and lower right."""
-    from imgui_bundle import imgui
-
     for name in names.split():
         draw = getattr(imgui, name)
 
@@ -245,28 +247,17 @@ def a_screen(folder: Path) -> Iterator[Mouse]:
     needs("Xvfb", "xdotool")
     folder.mkdir()
     read, write = os.pipe()
+    told = ["-displayfd", str(write), "-fbdir", str(folder)]
     server = subprocess.Popen(
         # Each program that was alone on it would reset it, and a window that comes just then would not survive.
-        [
-            "Xvfb",
-            "-displayfd",
-            str(write),
-            "-noreset",
-            "-screen",
-            "0",
-            "1280x800x24",
-            "-nolisten",
-            "tcp",
-            "-fbdir",
-            str(folder),
-        ],
+        ["Xvfb", "-noreset", "-screen", "0", "1280x800x24", "-nolisten", "tcp", *told],
         pass_fds=[write],
         stderr=subprocess.DEVNULL,
     )
     os.close(write)
     try:
-        with os.fdopen(read) as told:
-            yield Mouse(f":{told.readline().strip()}", folder / "Xvfb_screen0")
+        with os.fdopen(read) as said:
+            yield Mouse(f":{said.readline().strip()}", folder / "Xvfb_screen0")
     finally:
         server.terminate()
         server.wait()
