@@ -124,17 +124,16 @@ def test_constants_stay_constant(filter: str, between: str, averaged: bool) -> N
     for d in (bent(CLIP), strong):
         for dtype, values in (("u1", (0, 77, 255)), ("i2", (-32768, 32767)), ("f4", (0.3,)), ("f8", (1e6 / 3,))):
             for value in values:
-                for channels in (1, 3, 5):
+                for channels, rule in ((1, "edge"), (3, "reflect"), (5, "edge")):
                     source = np.full((*d.shape, channels), value, dtype)
                     for alpha in {False, channels > 1 and dtype == "u1"}:
-                        for rule in ("edge", "reflect"):
-                            out = d.warp(source, outside=rule, alpha=alpha, **how)
-                            if dtype in ("f4", "f8"):
-                                np.testing.assert_allclose(out, source, rtol=3e-6 if dtype == "f4" else 1e-6)
-                            elif not (alpha and value < 255):
-                                np.testing.assert_array_equal(out, source)
-                            elif value:
-                                np.testing.assert_array_equal(out[..., :-1], source[..., :-1])
+                        out = d.warp(source, outside=rule, alpha=alpha, **how)
+                        if dtype in ("f4", "f8"):
+                            np.testing.assert_allclose(out, source, rtol=3e-6 if dtype == "f4" else 1e-6)
+                        elif not (alpha and value < 255):
+                            np.testing.assert_array_equal(out, source)
+                        elif value:
+                            np.testing.assert_array_equal(out[..., :-1], source[..., :-1])
 
 
 @pytest.mark.parametrize("shape", [(1, 1, 1), (1, 37, 50), (2, 2, 2), (5, 1, 40), (5, 40, 1), (3, 33, 33), (2, 3, 300)])
@@ -153,9 +152,10 @@ def test_sizes(shape: tuple[int, int, int], rule: str) -> None:
                 if (name, between) in PRINTED:
                     expected = reference.sample_frames(source, exact(d), name, between, rule, 70)
                     same(out, expected.astype(np.float64), 255, 3e-4)
-                given = np.full_like(source, 77)
-                d.warp(source, alpha=False, tolerance=FINE, out=given, **how)
-                np.testing.assert_array_equal(given, out)
+                if channels == 5 or (name, between) not in PRINTED:
+                    given = np.full_like(source, 77)
+                    d.warp(source, alpha=False, tolerance=FINE, out=given, **how)
+                    np.testing.assert_array_equal(given, out)
 
 
 def test_two_maps_of_one_file_overlap(tmp_path: Path) -> None:
