@@ -354,6 +354,13 @@ def test_what_an_export_said_is_gone_with_an_undo(gpu: Gpu, tmp_path: Path) -> N
 
 
 def type_(hand: Hand, text: str) -> None:
+    """Type a text in the place of what is there."""
+    hand.modifiers = ("Control",)
+    hand.send("key_down", key="a")
+    hand.canvas.draw()
+    hand.send("key_up", key="a")
+    hand.modifiers = ()
+    hand.canvas.draw()
     for letter in text:
         hand.send("key_down", key=letter)
         hand.send("char", data=letter, is_composing=False, input_type="insertText", repeat=False)
@@ -371,12 +378,6 @@ def test_a_number_that_is_typed_counts_when_it_is_left(
     hand.canvas.draw()
     place, before = seen["input_float ##at0"], FLAT[0].at[0]
     hand.click(place)
-    hand.modifiers = ("Control",)
-    hand.send("key_down", key="a")
-    hand.canvas.draw()
-    hand.send("key_up", key="a")
-    hand.modifiers = ()
-    hand.canvas.draw()
     type_(hand, "61")
     assert view.document.strokes[0].at[0] == before  # not yet
     if leaving == "elsewhere":
@@ -399,12 +400,6 @@ def test_options_of_an_export(gpu: Gpu, seen: dict[str, tuple[float, float]], tm
         hand.canvas.draw()
     for field, text in (("input_text ##codec", "ffv1"), ("input_float ##time scale", "3")):
         hand.click(seen[field])
-        hand.modifiers = ("Control",)
-        hand.send("key_down", key="a")
-        hand.canvas.draw()
-        hand.send("key_up", key="a")
-        hand.modifiers = ()
-        hand.canvas.draw()
         type_(hand, text)
         hand.key("Enter")
         hand.canvas.draw()

@@ -147,6 +147,14 @@ def in_pixels(view: Any, *point: float) -> tuple[int, int]:
 _opened: list[Any] = []
 
 
+def beside(view: Any, picture: Pixels) -> tuple[np.ndarray, np.ndarray]:
+    """What a window shows of a picture at 100 %, and the part of the picture that is there, in whole numbers."""
+    (x, y), seen, part = in_pixels(view, 0, 0), view.pixels().astype(int), picture[..., :3].astype(int)
+    seen, part = seen[max(y, 0) :, max(x, 0) :], part[max(-y, 0) :, max(-x, 0) :]
+    height, width = (min(a, b) for a, b in zip(seen.shape[:2], part.shape[:2], strict=True))
+    return seen[:height, :width], part[:height, :width]
+
+
 def opened(
     source: Any, recipe: Any = None, *, ratio: float = 1.0, size: tuple[int, int] = SIZE, **options: Any
 ) -> tuple[Any, Hand]:
