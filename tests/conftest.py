@@ -7,7 +7,7 @@ import gc
 import os
 import sys
 import zlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -114,6 +114,25 @@ def _collected() -> Iterator[None]:
     yield
     if "imgui_bundle" in sys.modules:
         gc.collect()
+
+
+@pytest.fixture
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """An empty folder, in which commands run."""
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.fixture
+def run(here: Path, capsys: pytest.CaptureFixture[str]) -> Callable[..., tuple[int, str, str]]:
+    """Run a command line in this process: its status, and what it said on both streams."""
+    from supple.cli import command
+
+    def run(*arguments: str) -> tuple[int, str, str]:
+        capsys.readouterr()
+        return command(arguments), *capsys.readouterr()
+
+    return run
 
 
 @pytest.fixture

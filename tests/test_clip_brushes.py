@@ -138,7 +138,7 @@ def test_a_part_of_a_stroke_keeps_its_radius_in_time() -> None:
     np.testing.assert_allclose(damped.space.table["stretch"], 8, rtol=1e-15)
 
 
-@examples(40)
+@examples(20)
 @given(st.integers(0, 2**32), st.sampled_from([None, "auto", 3.0]), st.sampled_from(["damp", "flow"]))
 @pytest.mark.filterwarnings("ignore::supple.FoldWarning", "ignore::supple.MissWarning")
 def test_any_strokes_are_one_to_one_and_their_plans_hold_every_point(seed: int, border: Any, on_fold: Any) -> None:
@@ -163,7 +163,8 @@ def test_any_strokes_are_one_to_one_and_their_plans_hold_every_point(seed: int, 
     # What no stroke reaches keeps every bit.
     away = ~reference.reached(reference.carried_out(d), d.domain, q)
     np.testing.assert_array_equal(exact[away], q[away])
-    shown = d.inverse_map()[z][q[:, 1].astype(int), q[:, 0].astype(int)]
+    plan.points(whole := np.empty((*SHAPE[1:], 3)))
+    shown = whole[q[:, 1].astype(int), q[:, 0].astype(int)]
     np.testing.assert_array_equal(shown[away], q[away])
     assert np.linalg.norm(shown - exact, axis=1).max() <= max(plan.error, 0.01) + 1e-4
 

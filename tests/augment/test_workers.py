@@ -86,7 +86,7 @@ def test_workers_use_one_thread_each_and_draw_the_same(start: str, tmp_path: Pat
 
 @needs_tasks
 def test_another_number_of_threads_can_be_asked_for(tmp_path: Path) -> None:
-    ((_, there),) = told(PROGRAM, "spawn", tmp_path, SUPPLE_THREADS="3")
+    ((_, there),) = told(PROGRAM, "fork", tmp_path, SUPPLE_THREADS="3")
     assert {(more, asked) for _, more, asked in there} == {(2, "3")}
 
 

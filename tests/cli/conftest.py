@@ -1,4 +1,4 @@
-"""A folder of its own for each test, and the command in it."""
+"""What commands find: a picture, and files of all kinds."""
 
 from __future__ import annotations
 
@@ -6,18 +6,16 @@ from pathlib import Path
 
 import pytest
 
-from supple.cli import command
 from supple.media import image
-from tests.cli.commands import Run, Said, noise
+from tests.cli.commands import noise
 from tests.cli.inputs import write_inputs
 
 
 @pytest.fixture
-def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """An empty folder with one picture, in which commands run."""
-    monkeypatch.chdir(tmp_path)
+def here(here: Path) -> Path:
+    """A folder with one picture, in which commands run."""
     image.write("in.png", noise(40, 48))
-    return tmp_path
+    return here
 
 
 @pytest.fixture(scope="session")
@@ -28,16 +26,3 @@ def inputs(tmp_path_factory: pytest.TempPathFactory) -> Path:
         patch.chdir(folder)
         write_inputs()
     return folder
-
-
-@pytest.fixture
-def run(here: Path, capsys: pytest.CaptureFixture[str]) -> Run:
-    """Run a command line in this process."""
-
-    def run(*arguments: str) -> Said:
-        capsys.readouterr()
-        status = command(arguments)
-        out, err = capsys.readouterr()
-        return status, out, err
-
-    return run

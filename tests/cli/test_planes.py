@@ -8,7 +8,7 @@ import numpy as np
 
 import supple
 from supple.media import image
-from supple.media import volume as media
+from supple.space.geometry import Grid
 from tests.cli.commands import Run
 
 DATA = Path(supple.__file__).parent / "examples" / "data"
@@ -31,7 +31,7 @@ def test_the_commands(run: Run, here: Path) -> None:
     assert run("plot", HEAD, "no.png", *stroke, "--plane", "axial:900")[0] == 2
     status, _, err = run("plot", "in.png", "no.png", "--grab", "9,9:12,9", "--radius", "8", "--plane", "axial")
     assert (status, err) == (2, "supple: --plane is for volumes, and in.png is none: leave it out\n")
-    grid = media.outline_of(HEAD).grid
+    grid = Grid((12, 20, 16))
     supple.Field(np.zeros((*grid.shape, 3), np.float32), grid).write("zero.nii.gz", "itk")
     assert run("check", "zero.nii.gz", "--picture", "check.png", "--plane", "coronal:10")[0] == 0
     status, _, err = run("check", "zero.nii.gz", "--plane", "coronal:10")

@@ -101,7 +101,7 @@ def test_a_store_is_described(run: Run) -> None:
 
 @pytest.mark.parametrize("workers", [(), ("--workers", "1")], ids=["threads", "processes"])
 def test_an_interrupt_is_one_line_and_the_same_command_goes_on(here: Path, workers: tuple[str, ...]) -> None:
-    store("in.zarr", (32, 320, 320), 32)
+    store("in.zarr", (32, 224, 224), 32)
     line = ("warp", "in.zarr", "out.zarr", *DEEP, "--reach", "none", "--threads", "1")
     process = start(*line, *workers, start_new_session=True)
     end = time.monotonic() + 100

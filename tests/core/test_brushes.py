@@ -88,8 +88,11 @@ def test_a_flow_turns_any_number_of_times() -> None:
     np.testing.assert_allclose(d.jacobian((40, 40)), 20 * np.eye(2), atol=1e-8)
 
 
-@pytest.mark.parametrize("stroke", [*AFFINE[2], *AFFINE[3]], ids=lambda s: f"{s.brush}, {s.ndim}")
-@pytest.mark.parametrize("reach", [1.0, 2.5])
+GRAB = Stroke.grab((40, 30), by=(1.5, -2.5), radius=7)
+
+
+@pytest.mark.parametrize("stroke", [GRAB, *AFFINE[2], *AFFINE[3]], ids=lambda s: f"{s.brush}, {s.ndim}")
+@pytest.mark.parametrize("reach", [1.0, 2.5, 4.0])
 def test_outside_the_ball_points_keep_every_bit(stroke: Stroke, reach: float) -> None:
     n = stroke.ndim
     d = Deformation((60, 60, 60)[:n], border=None, on_fold="damp").add(replace(stroke, reach=reach))

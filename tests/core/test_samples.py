@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import functools
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -102,43 +101,6 @@ def test_any_strokes_and_shapes(d: Deformation, dtype: str, channels: int, filte
     doubtful = filter == "nearest" or outside == "constant"
     odd = max(0.02, 1 / (d.shape[0] * d.shape[1])) if doubtful else 0.005
     close(found, expected, most=5e-3, mean=1e-3 + 5e-3 * odd, odd=odd)
-
-
-# ---------------------------------------------------------------- memory
-
-
-@pytest.mark.parametrize("filter", ["nearest", "auto"])
-def test_arrays_of_any_layout(filter: str, tmp_path: Path) -> None:
-    for d, shape in ((bent("gentle"), SHAPE), (clip("bent"), CLIP)):
-        n = len(shape)
-        wide = noise("f4", (*(2 * k for k in shape), 6))
-        base = np.ascontiguousarray(wide[(slice(None, None, 2),) * (n + 1)])
-        expected = d.warp(base, filter=filter)
-        frozen = base.copy()
-        frozen.flags.writeable = False
-        mapped = np.memmap(tmp_path / f"source{n}", np.float32, "w+", shape=base.shape)
-        mapped[:] = base
-        unaligned = np.frombuffer(b"?" + base.tobytes(), np.uint8)[1:].view(np.float32)
-        for source in (
-            wide[(slice(None, None, 2),) * (n + 1)],
-            np.ascontiguousarray(base[::-1, ::-1])[::-1, ::-1],
-            np.asfortranarray(base),
-            base.astype(">f4"),
-            frozen,
-            mapped,
-            unaligned.reshape(base.shape),
-        ):
-            before = source.tobytes()
-            np.testing.assert_array_equal(d.warp(source, filter=filter), expected)
-            assert source.tobytes() == before
-            for order in ("C", "F"):
-                out = np.full(source.shape, 7, source.dtype, order=order)  # type: ignore[call-overload]
-                assert d.warp(source, filter=filter, out=out) is out
-                np.testing.assert_array_equal(out, expected)
-        whole = np.full((*(2 * k for k in shape), 6), 7, np.float32)
-        d.warp(base, filter=filter, out=whole[(slice(None, None, 2),) * (n + 1)])
-        np.testing.assert_array_equal(whole[(slice(None, None, 2),) * (n + 1)], expected)
-        assert (whole[1::2] == 7).all()
 
 
 def test_what_a_sampling_is_given_is_checked() -> None:

@@ -24,7 +24,7 @@ def test_the_table_has_all_kernels() -> None:
 
 # A compiler takes seconds for each. Of all kernels, on the oldest and the newest GPUs, by both kinds of maps, and by
 # auto, with which no type is compiled below:
-FEW = ("nodes 2-D strokes sm_75", "fill 3-D auto float sm_90", "cells 2-D composite sm_100")
+FEW = ("cells 2-D composite sm_75", "fill 3-D auto float sm_100")
 slow = soak("all kernels compiled for GPUs of three kinds, and each type by every filter")
 KERNELS = [pytest.param(name, marks=() if REAL or name in FEW else slow) for name in rows()]
 SAMPLES = sorted({sample for sample, _ in _TYPES.values()})

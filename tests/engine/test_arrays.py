@@ -12,7 +12,7 @@ import pytest
 from supple import Deformation, SuppleError, ToleranceWarning
 from supple.engine.sampling import Certificate
 from tests import effort
-from tests.engine.arrays import CLIP, FILTERS, IMAGE, RULES, bent, hurried, noise
+from tests.engine.arrays import CLIP, FILTERS, IMAGE, RULES, bent, noise
 
 pytestmark = pytest.mark.filterwarnings("ignore::supple.FoldWarning")
 Shape = tuple[int, ...]
@@ -32,7 +32,7 @@ def test_the_order_of_bytes_makes_no_difference(dtype: str) -> None:
 
 @MEDIA
 @pytest.mark.filterwarnings("ignore::supple.ToleranceWarning")  # float32 does not count so far
-@pytest.mark.parametrize("size", [1e9, 1e20, 1e30])
+@pytest.mark.parametrize("size", [1e9, 1e30])
 def test_as_far_outside_as_numbers_go(shape: Shape, size: float) -> None:
     shape = (3, 280) if shape == IMAGE else (3, 5, 50)
     at, by = [0.5 * n for n in shape[::-1]], (size, size / 3, -size / 5)[: len(shape)]
@@ -68,6 +68,7 @@ def test_arrays_of_any_layout(shape: Shape, filter: str, tmp_path: Path) -> None
         "big-endian": base.astype(">f4"),
         "frozen": frozen,
         "mapped": np.memmap(tmp_path / "source", np.float32, "r", shape=base.shape),
+        "unaligned": np.frombuffer(b"?" + base.tobytes(), np.uint8)[1:].view(np.float32).reshape(base.shape),
     }
     for name, source in layouts.items():
         before = source.tobytes()
@@ -116,21 +117,6 @@ def test_without_a_stroke_or_force_no_bit_changes(shape: Shape, dtype: str) -> N
         flipped = source[::-1, ::-1]
         assert held.warp(flipped).tobytes() == flipped.tobytes()
         assert source.tobytes() == before
-
-
-@pytest.mark.parametrize(
-    "d",
-    [Deformation((150, 600), border=64, on_fold="damp").grab((300, 70), by=(40, 30), radius=60, reach=None), hurried()],
-    ids=["image", "clip"],
-)
-def test_threads_make_no_difference(d: Deformation, monkeypatch: pytest.MonkeyPatch) -> None:
-    source = np.random.default_rng(12).integers(0, 255, (*d.shape, 3), np.uint8)
-    for name in FILTERS:
-        results = []
-        for threads in ("1", "3"):
-            monkeypatch.setenv("SUPPLE_THREADS", threads)
-            results.append(d.warp(source, filter=name, time_filter=d.ndim == 3))
-        np.testing.assert_array_equal(*results)
 
 
 GOOD = {shape: np.zeros((*shape, 3), np.uint8) for shape in (IMAGE, CLIP)}

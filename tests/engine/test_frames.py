@@ -124,17 +124,16 @@ def test_constants_stay_constant(filter: str, between: str, averaged: bool) -> N
     for d in (bent(CLIP), strong):
         for dtype, values in (("u1", (0, 77, 255)), ("i2", (-32768, 32767)), ("f4", (0.3,)), ("f8", (1e6 / 3,))):
             for value in values:
-                for channels in (1, 3, 5):
+                for channels, rule in ((1, "edge"), (3, "reflect"), (5, "edge")):
                     source = np.full((*d.shape, channels), value, dtype)
                     for alpha in {False, channels > 1 and dtype == "u1"}:
-                        for rule in ("edge", "reflect"):
-                            out = d.warp(source, outside=rule, alpha=alpha, **how)
-                            if dtype in ("f4", "f8"):
-                                np.testing.assert_allclose(out, source, rtol=3e-6 if dtype == "f4" else 1e-6)
-                            elif not (alpha and value < 255):
-                                np.testing.assert_array_equal(out, source)
-                            elif value:
-                                np.testing.assert_array_equal(out[..., :-1], source[..., :-1])
+                        out = d.warp(source, outside=rule, alpha=alpha, **how)
+                        if dtype in ("f4", "f8"):
+                            np.testing.assert_allclose(out, source, rtol=3e-6 if dtype == "f4" else 1e-6)
+                        elif not (alpha and value < 255):
+                            np.testing.assert_array_equal(out, source)
+                        elif value:
+                            np.testing.assert_array_equal(out[..., :-1], source[..., :-1])
 
 
 @pytest.mark.parametrize("shape", [(1, 1, 1), (1, 37, 50), (2, 2, 2), (5, 1, 40), (5, 40, 1), (3, 33, 33), (2, 3, 300)])
@@ -153,9 +152,10 @@ def test_sizes(shape: tuple[int, int, int], rule: str) -> None:
                 if (name, between) in PRINTED:
                     expected = reference.sample_frames(source, exact(d), name, between, rule, 70)
                     same(out, expected.astype(np.float64), 255, 3e-4)
-                given = np.full_like(source, 77)
-                d.warp(source, alpha=False, tolerance=FINE, out=given, **how)
-                np.testing.assert_array_equal(given, out)
+                if channels == 5 or (name, between) not in PRINTED:
+                    given = np.full_like(source, 77)
+                    d.warp(source, alpha=False, tolerance=FINE, out=given, **how)
+                    np.testing.assert_array_equal(given, out)
 
 
 def test_two_maps_of_one_file_overlap(tmp_path: Path) -> None:
@@ -176,25 +176,6 @@ def test_two_maps_of_one_file_overlap(tmp_path: Path) -> None:
             bent(CLIP).warp(source, out=out)
     (tmp_path / "b").write_bytes((tmp_path / "a").read_bytes())
     bent(CLIP).warp(mapped("a", 0, "r"), out=mapped("b", 0))
-
-
-@pytest.mark.parametrize("dtype", ["bool", "u1", "i2", "f2", "f4", ">u2", ">f4"])
-def test_planes_where_nothing_moves_are_left_as_they_are(dtype: str) -> None:
-    d = Deformation((40, 37, 50), border=None, on_fold="damp").grab(
-        (25, 18, 6), by=(3, 2, 2), radius=4, scales=3, reach=None
-    )
-    source = noise(dtype, 3, d.shape)
-    if np.dtype(dtype).kind == "f":
-        source[30, 5, 5], source[30, 6, 6] = np.inf, -0.0
-    for light_too in (False, True):
-        if light_too and dtype in ("bool", "i2"):
-            continue
-        for name in ("nearest", "linear", "auto"):
-            with np.errstate(invalid="ignore"):
-                out = d.warp(source, filter=name, linear_light=light_too)
-            for z in (25, 30, 39):
-                assert out[z].tobytes() == source[z].tobytes()
-            assert (out[6] != source[6]).any()
 
 
 def test_one_frame_is_reported_by_itself():

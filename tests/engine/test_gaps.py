@@ -63,18 +63,19 @@ def test_integers_have_no_such_fill(dtype: str) -> None:
 
 @pytest.mark.parametrize("filter", ["linear", "cubic", "auto"])
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
-def test_samples_without_a_value_reach_no_further_than_their_weight(filter: str, value: float) -> None:
-    source = noise(*SIZE)
-    source[30, 40] = value
-    made = TURNED.warp(source, filter=filter)
-    lost = ~np.isfinite(made)
+@pytest.mark.parametrize("dtype", ["f2", "f4", "f8"])
+def test_samples_without_a_value_reach_no_further_than_their_weight(filter: str, value: float, dtype: str) -> None:
+    source = noise(*SIZE, 2, dtype=dtype)
+    source[30, 40, 0] = value
+    made, again = (TURNED.warp(each, filter=filter) for each in (source, np.nan_to_num(source, posinf=0, neginf=0)))
+    lost = ~np.isfinite(made[..., 0])
     x, y = np.moveaxis(TURNED.inverse_map(), -1, 0)
     distance = np.maximum(np.abs(x - 40), np.abs(y - 30))
     assert lost[distance < 0.5].all()
     assert not lost[distance > SUPPORT.get(filter, 2) + 0.05].any()
-    np.testing.assert_array_equal(made[lost], np.full(lost.sum(), value, np.float32))  # no sign but its own
-    again = TURNED.warp(np.nan_to_num(source, posinf=0, neginf=0), filter=filter)
+    np.testing.assert_array_equal(made[lost, 0], np.full(lost.sum(), value, dtype))  # no sign but its own
     np.testing.assert_array_equal(made[~lost], again[~lost])
+    np.testing.assert_array_equal(made[..., 1], again[..., 1])  # nor other channels
 
 
 @pytest.mark.parametrize("filter", ["linear", "cubic", "auto"])

@@ -22,7 +22,7 @@ from tests import effort
 
 
 def small(shot: Shot) -> Shot:
-    return replace(shot, size=256, smooth=1, turntable=shot.turntable and 6) if isinstance(shot, Look) else shot
+    return replace(shot, size=128, smooth=1, turntable=shot.turntable and 6) if isinstance(shot, Look) else shot
 
 
 # Of all kinds of shots some, and volumes in small pictures; in `make soak`, all as it ships.

@@ -44,7 +44,7 @@ DEEP = Recipe(strokes=[Stroke.grab((20, 16, 5), to=(23, 17, 6), radius=4)])
 def small(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """Chunks and tasks of a few samples, in an empty folder."""
     monkeypatch.setattr(plans, "TASK", 1 << 12)
-    monkeypatch.setattr(inputs, "_CHUNK", {2: 16, 3: 8})
+    monkeypatch.setattr(inputs, "_CHUNK", {2: 16, 3: 16})
     monkeypatch.setattr(inputs, "_COARSEST", 24)
     monkeypatch.chdir(tmp_path)
 
@@ -132,8 +132,8 @@ INPUTS: dict[str, tuple[Callable[[], tuple[str, Array]], str]] = {
     "tiff-pyramid": (of_pyramid, "cyx"),
     "tiff-stack": (tiff((11, 32, 40), photometric="minisblack"), "zyx"),
     "tiff-stack-tiles": (tiff((11, 32, 40), photometric="minisblack", tile=(16, 16)), "zyx"),
-    "imagej": (tiff((2, 9, 3, 32, 40), imagej=True, metadata={"axes": "TZCYX"}), "tczyx"),
-    "ome": (tiff((3, 2, 9, 32, 40), ome=True, metadata={"axes": "CTZYX"}, tile=(16, 16)), "tczyx"),
+    "imagej": (tiff((2, 9, 2, 28, 34), imagej=True, metadata={"axes": "TZCYX"}), "tczyx"),
+    "ome": (tiff((2, 2, 9, 28, 34), ome=True, metadata={"axes": "CTZYX"}, tile=(16, 16)), "tczyx"),
     "png": (of_png, "cyx"),
 }
 
@@ -200,7 +200,7 @@ def test_oblique_volumes_are_bent_in_space_and_written_along_their_axes() -> Non
 
 
 def test_units_times_and_levels() -> None:
-    values = noise((2, 20, 60, 70), "uint8")
+    values = noise((2, 20, 44, 50), "uint8")
     told = {"axes": "TZYX", "spacing": 2.0, "unit": "um", "finterval": 0.25}
     tifffile.imwrite("in.tif", values, imagej=True, metadata=told, resolution=(2, 2))
     recipe = Recipe(strokes=[Stroke.grab((30, 30, 5), to=(33, 30, 5), radius=0.004)])
@@ -209,7 +209,7 @@ def test_units_times_and_levels() -> None:
     assert [axis.unit for axis in image.axes] == ["second", *["micrometer"] * 3]
     assert np.allclose(made.deformation.grid.spacing, (5e-4, 5e-4, 2e-3))
     # what is dense is halved, until all are alike
-    assert [tuple(level.array.shape) for level in image.levels] == [(2, 20, 60, 70), (2, 20, 30, 35), (2, 20, 15, 18)]
+    assert [tuple(level.array.shape) for level in image.levels] == [(2, 20, 44, 50), (2, 20, 22, 25), (2, 20, 11, 13)]
     for level, steps in zip(image.levels, ((2, 0.5, 0.5), (2, 1, 1), (2, 2, 2)), strict=True):
         assert np.allclose(level.scale, (0.25, *steps))
         assert np.allclose(level.translation, (0, *((np.array(steps) - (2, 0.5, 0.5)) / 2)))
@@ -246,7 +246,7 @@ def test_shards_cover_pages() -> None:
     warp_store("in.tif", "out.zarr", DEEP)
     array = open_image("out.zarr").levels[0].array
     assert array.shards[1:] == (64, 80)
-    assert array.chunks == (8, 8, 8)
+    assert array.chunks == (16, 16, 16)
 
 
 def test_samples_are_sent_as_a_name() -> None:

@@ -21,7 +21,7 @@ from tests.media.landmarks import fcsv
 from tests.media.video.copies import arrays_of
 
 RNG = np.random.default_rng(0)
-PIXELS = RNG.integers(0, 256, (300, 300, 3), np.uint8)
+PIXELS = RNG.integers(0, 256, (160, 160, 3), np.uint8)
 VOXELS = RNG.integers(0, 60_000, (20, 40, 50), np.uint16)
 FIELD = transforms.Displacements(RNG.normal(size=(9, 20, 30, 3)), Grid((9, 20, 30)))
 FLAT = transforms.Displacements(RNG.normal(size=(40, 50, 2)), Grid((40, 50)))
@@ -82,7 +82,7 @@ FULL = {".exr": "File too large", ".nrrd": "(failed to write|not written|too lar
 
 @pytest.fixture(scope="module")
 def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return clips.make(tmp_path_factory.mktemp("source") / "source.mkv", "ffv1", smooth=False, count=20)
+    return clips.make(tmp_path_factory.mktemp("source") / "source.mkv", "ffv1", smooth=False, count=8)
 
 
 @pytest.fixture

@@ -30,7 +30,7 @@ def test_timecodes_are_those_that_are_counted(rate: Fraction, start: str) -> Non
     base = round(rate)
     expected = labels(base, base // 15 if start else 0, 21)
     numbering = Numbering("clip", len(expected), rate, 0, start)
-    for k in range(0, len(expected), 7):
+    for k in range(0, len(expected), 31):
         assert numbering.timecode(k) == expected[k]
         assert numbering.read("frame", expected[k]) == k
 

@@ -198,7 +198,8 @@ def test_every_plot_is_written(what: str, tmp_path: Path) -> None:
     assert (tmp_path / "a.png").read_bytes().startswith(b"\x89PNG")
     with pytest.raises(SuppleError, match="exists"):
         plot(SMALL, what, tmp_path / "a.png")
-    plot(Deformation((60, 80), border=64, on_fold="damp"), what, tmp_path / "a.png", force=True)
+    if effort.ALL or WHATS.index(what) % 2:
+        plot(Deformation((60, 80), border=64, on_fold="damp"), what, tmp_path / "a.png", force=True)
     assert sorted(path.name for path in tmp_path.iterdir()) == names
 
 
@@ -289,7 +290,7 @@ def test_a_frame_is_measured_as_a_plane_of_the_video() -> None:
 @pytest.mark.parametrize("what", WHATS)
 def test_every_plot_of_a_frame_is_written(what: str, tmp_path: Path) -> None:
     image = np.random.default_rng(0).integers(0, 255, (48, 64, 3), np.uint8)
-    for k, below in ((0, None), (29, image[..., 0])) if what == "grid" or effort.ALL else ((16, image),):
+    for k, below in ((0, None), (29, image[..., 0]), (16, image)) if what == "grid" or effort.ALL else ():
         plot(VIDEO, what, tmp_path / "a.png", image=below, frame=k, force=True)
     stroke = Stroke.grab((3, 0, 0), by=(0, 0, 2), radius=10, reach=None)
     odd = [
@@ -300,7 +301,7 @@ def test_every_plot_of_a_frame_is_written(what: str, tmp_path: Path) -> None:
     for d in odd if effort.ALL else odd[WHATS.index(what) % 4 :][:1]:
         plot(d, what, tmp_path / "odd.png", frame=0, force=True)
     panels = {"iterations": 6, "residual": 3, "stretch": 4, "axes": 3, "grid": 2}
-    assert len(figure(VIDEO, what, frame=16).axes) == panels[what]
+    assert len(figure(VIDEO, what, image=image, frame=16).axes) == panels[what]
 
 
 def test_frames_that_are_not_there_are_refused(tmp_path: Path) -> None:

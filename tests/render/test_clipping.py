@@ -30,12 +30,6 @@ CLIP = ((6, 20), (8, None), (None, 17))
 CAMERAS = (Camera(35, 20, distance=90), Camera(-150, -40, distance=90, roll=30))
 
 
-@pytest.fixture
-def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.chdir(tmp_path)
-    return tmp_path
-
-
 def cloud() -> npt.NDArray[np.float32]:
     made = ndimage.gaussian_filter(np.random.default_rng(5).normal(size=SHAPE), 2, mode="constant")
     made -= made.min()

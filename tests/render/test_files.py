@@ -32,12 +32,6 @@ RECIPE = supple.Recipe(
 )
 
 
-@pytest.fixture
-def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.chdir(tmp_path)
-    return tmp_path
-
-
 def head(low: float = 0, high: float = 200) -> npt.NDArray[np.int16]:
     """A ball with a nose, which looks to the front (-y)."""
     z, y, x = np.mgrid[: SHAPE[0], : SHAPE[1], : SHAPE[2]]

@@ -19,13 +19,12 @@ TABLE = "# label name red green blue opacity\n1 left half 255 0 0 255\n4 tumour 
 
 
 @pytest.fixture
-def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.chdir(tmp_path)
+def here(here: Path) -> Path:
     labels = np.zeros((12, 12, 12), np.uint8)
     labels[3:9, 3:9, 3:6], labels[3:9, 3:9, 6:9], labels[0, 0, 0] = 1, 4, 9
     stored("labels.nii.gz", labels)
-    (tmp_path / "own.ctbl").write_text(TABLE, encoding="utf-8")
-    return tmp_path
+    (here / "own.ctbl").write_text(TABLE, encoding="utf-8")
+    return here
 
 
 def test_names_are_those_of_the_file() -> None:

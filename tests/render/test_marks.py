@@ -39,10 +39,9 @@ WAYS = {"L": (1, 0, 0), "R": (-1, 0, 0), "P": (0, 1, 0), "A": (0, -1, 0), "S": (
 
 
 @pytest.fixture
-def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.chdir(tmp_path)
+def here(here: Path) -> Path:
     shutil.copy(HEAD, "head.nii.gz")
-    return tmp_path
+    return here
 
 
 def bodies(geometry: Geometry, shape: tuple[int, int, int], inside: Callable[[Array], Array]) -> Scene:

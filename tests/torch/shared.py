@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from typing import Any
 
@@ -10,8 +11,14 @@ import pytest
 
 import supple
 
-torch = pytest.importorskip("torch")
+if os.environ.get("SUPPLE_TEST_TORCH") == "1":
+    import torch
+else:
+    torch = pytest.importorskip("torch")
 
+import supple.torch as bending
+
+__all__ = ["bending"]
 DOUBLE = torch.float64
 
 

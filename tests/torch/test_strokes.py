@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -13,14 +12,7 @@ import pytest
 import supple
 from supple import Freeze
 from supple.errors import SuppleError
-
-if os.environ.get("SUPPLE_TEST_TORCH") == "1":
-    import torch
-else:
-    torch = pytest.importorskip("torch")
-
-import supple.torch as bending
-from tests.torch.shared import DOUBLE, bent, check, numbers, picture
+from tests.torch.shared import DOUBLE, bending, bent, check, numbers, picture, torch
 from tests.turns import AFFINE
 
 pytestmark = pytest.mark.filterwarnings("ignore::supple.FoldWarning", "ignore::supple.MissWarning")
@@ -120,7 +112,7 @@ def test_points_are_differentiable_twice_in_all_numbers(name: str) -> None:
 
     check(seen, points, *given.values())
     if name in ("free", "frozen"):
-        assert torch.autograd.gradgradcheck(lambda *x: seen(*x).sum(), (points, *given.values()))
+        assert torch.autograd.gradgradcheck(lambda *x: seen(*x).sum(), (points, *given.values()), fast_mode=True)
 
 
 @each("shape", [(17, 23), (5, 6, 7)])

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import os
 import re
 import warnings
 from collections.abc import Callable
@@ -14,16 +13,8 @@ import pytest
 
 import supple
 from supple.errors import FoldWarning, SuppleError
-
-if os.environ.get("SUPPLE_TEST_TORCH") == "1":
-    import torch
-else:
-    torch = pytest.importorskip("torch")
-
-import supple.torch as bending
-from supple.torch import warping
 from tests.engine.table import Limits, Row, rows
-from tests.torch.shared import DOUBLE, bent, check, no_kinks, numbers, picture, smooth
+from tests.torch.shared import DOUBLE, bending, bent, check, no_kinks, numbers, picture, smooth, torch
 
 ROWS = [
     *rows(["image", "image, local", "image, turned"], ("bool", "u1", "i2", "f4", "f8"), few=True),
@@ -195,7 +186,7 @@ def test_parts_at_a_time_make_no_difference(monkeypatch: pytest.MonkeyPatch) -> 
     d = bent((20, 30))
     results = []
     for room in (1 << 23, 1 << 12):
-        monkeypatch.setattr(warping, "_ROOM", room)
+        monkeypatch.setattr(bending.warping, "_ROOM", room)
         image, given = smooth(2, 20, 30).requires_grad_(), numbers(d)
         made = bending.warp(image, d, **given)
         made.square().sum().backward()
@@ -362,7 +353,7 @@ def test_the_inverse_is_that_of_arrays_and_has_gradients_of_tensors() -> None:
     for one, given in zip(made.detach(), tensor.detach(), strict=True):
         expected = d.warp(given.numpy(), filter="linear", inverse=True, tolerance=1e-4)
         np.testing.assert_allclose(one.numpy(), expected, atol=1e-3)
-    assert torch.autograd.gradcheck(lambda t: bending.warp(t, d, inverse=True), tensor)
+    assert torch.autograd.gradcheck(lambda t: bending.warp(t, d, inverse=True), tensor, fast_mode=True)
     by = torch.tensor([[4.0, 2.0]], requires_grad=True)
     with pytest.raises(supple.SuppleError, match="inverse must be False where strokes need gradients"):
         bending.warp(tensor, d, by=by, inverse=True)

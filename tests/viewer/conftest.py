@@ -4,15 +4,11 @@ from __future__ import annotations
 
 import itertools
 import shutil
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-
-import supple
-from tests.viewer.windows import close_all, small_photo
-
-DATA = Path(supple.__file__).parent / "examples" / "data"
 
 
 @pytest.fixture(autouse=True)
@@ -21,7 +17,8 @@ def _windows_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[No
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "config"))
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
     yield
-    close_all()
+    if windows := sys.modules.get("tests.viewer.windows"):
+        windows.close_all()
 
 
 @pytest.fixture
@@ -32,6 +29,8 @@ def state(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def photo(state: Path) -> Path:
+    from tests.viewer.windows import small_photo
+
     return small_photo(state)
 
 
@@ -40,6 +39,8 @@ def media(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder of a clip, and of the head with voxels of 4 mm."""
     import av
     import SimpleITK as sitk  # noqa: N813
+
+    from tests.viewer.windows import DATA
 
     folder, count = tmp_path_factory.mktemp("media"), 16
     with av.open(str(DATA / "bunny.mp4")) as source, av.open(str(folder / "clip.mp4"), "w") as out:

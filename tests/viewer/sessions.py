@@ -7,14 +7,11 @@ from typing import Any
 
 import numpy as np
 
-import supple
 from supple.cli import command
 from supple.strokes import Recipe, Stroke
 from supple.viewer.panels.view import TOP
 from supple.viewer.tools.viewport import Viewport
 from tests.viewer.windows import Pixels
-
-DATA = Path(supple.__file__).parent / "examples" / "data"
 
 
 def recipe_in(path: Path) -> Recipe:

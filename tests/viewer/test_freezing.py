@@ -26,10 +26,7 @@ from tests.viewer.sessions import recipe_in, warped
 from tests.viewer.test_tools_slices import bench, middle
 from tests.viewer.test_window_brushes import both
 from tests.viewer.tools import arrived, clip, down, drag, image, move, press, up, wheel
-from tests.viewer.windows import Hand, opened, watch
-
-pytest.importorskip("rendercanvas")
-pytest.importorskip("imgui_bundle")
+from tests.viewer.windows import Hand, beside, opened, watch
 
 
 def state(tools: Tools[Any]) -> tuple[object, bytes]:
@@ -342,9 +339,7 @@ def test_a_photograph_is_frozen_by_hand(gpu: Gpu, grey_photo: Path) -> None:
     assert (made != state.warp(source)).any()
     assert view._gui.trouble == view.stage.trouble == ""
     # What is on screen is what is exported.
-    left, top = (round(v) for v in np.subtract(view.tools.view.to_canvas(0, 0), (0, TOP)))
-    shown = view.pixels()[top : top + made.shape[0], left : left + made.shape[1]]
-    assert np.abs(shown.astype(int) - made).max() <= 1
+    assert np.abs(np.subtract(*beside(view, made))).max() <= 1
 
 
 def test_a_clip_is_shown_as_it_is_exported(gpu: Gpu, clip: Path) -> None:
@@ -366,19 +361,12 @@ def test_a_clip_is_shown_as_it_is_exported(gpu: Gpu, clip: Path) -> None:
     hand.key("g")
     hand.drag((200, 300), (230, 300))
     assert view._gui.trouble == ""
-    shown = view.pixels().astype(int)
     bent = view.document.deformation
     frames = np.stack([view.stage.film.get(k)[..., :3] for k in range(3)])
     full = np.concatenate([frames, np.repeat(frames[-1:], view.stage.film.count - 3, 0)])
-    wanted = bent.warp(full)[0].astype(int)
-    left, top = (round(v) for v in np.subtract(view.tools.view.to_canvas(0, 0), (0, TOP)))
-    height, width = (min(a, b) for a, b in zip(wanted.shape, shown.shape[:2], strict=False))
-    x, y = max(left, 0), max(top, 0)
-    crop = wanted[y - top : height, x - left : width]
-    part = shown[y : y + crop.shape[0], x : x + crop.shape[1]]
-    crop = crop[: part.shape[0], : part.shape[1]]
-    assert np.abs(part - crop).mean() < 0.6
-    assert np.abs(crop - full[0][y - top :, x - left :][: crop.shape[0], : crop.shape[1]]).mean() > 1
+    shown, wanted = beside(view, bent.warp(full)[0])
+    assert np.abs(shown - wanted).mean() < 0.6
+    assert np.abs(beside(view, full[0])[1] - wanted).mean() > 1
     both_made, both_wanted = both(view, clip, "wanted.mp4")
     for one, other in zip(decoded(both_made), decoded(both_wanted), strict=True):
         np.testing.assert_array_equal(one.to_ndarray(), other.to_ndarray())
@@ -496,10 +484,9 @@ def test_frames_of_a_clip_show_a_freeze_among_strokes(gpu: Gpu, clip: Path) -> N
         hand.canvas.draw()
     assert view._gui.trouble == view.stage.trouble == ""
     wanted = view.document.deformation.warp(view.stage.film.get(view.tools.playback.frame)[..., :3]).astype(int)
-    shown = view.pixels().astype(int)
     left, top = (math.floor(v) for v in np.subtract(view.tools.view.to_canvas(0, 0), (0, TOP)))
     assert min(left, top) >= 0
-    part = shown[top : top + wanted.shape[0], left : left + wanted.shape[1], :3]
+    part = view.pixels()[top : top + wanted.shape[0], left : left + wanted.shape[1], :3].astype(int)
     assert np.abs(part - wanted[: part.shape[0], : part.shape[1]]).max() <= 1
     # In time, that is not shown, and said.
     timed, _ = opened(clip)

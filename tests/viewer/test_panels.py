@@ -19,12 +19,8 @@ from supple.strokes.keys import Key
 from supple.viewer.document.editing import Document
 from supple.viewer.document.files import FileCommands
 from supple.viewer.panels.view import WIDE
-from tests.viewer.windows import SIZE, Hand, handle_of, opened, watch
+from tests.viewer.windows import DATA, SIZE, Hand, handle_of, imgui, opened, watch
 
-imgui = pytest.importorskip("imgui_bundle").imgui
-pytest.importorskip("rendercanvas")
-
-DATA = Path(supple.__file__).parent / "examples" / "data"
 FLAT = (Stroke(at=(200, 120), by=(20, 10), radius=40), Stroke(at=(100, 90), by=(-10, 10), radius=30))
 DEEP = (Stroke(at=(20, 60, 60), by=(3, 0, 1), radius=20),)
 CLICKED: set[tuple[bool, str]] = set()  # controls that a medium before has as well
@@ -61,15 +57,17 @@ def all_open(tmp_path: Path) -> None:
 
 @pytest.mark.usefixtures("all_open")
 @pytest.mark.parametrize("kind", ["photo", "clip", "moving", "head"])
-def test_every_control_can_be_clicked(gpu: Gpu, seen: dict[str, tuple[float, float]], kind: str) -> None:
+def test_every_control_can_be_clicked(
+    gpu: Gpu, seen: dict[str, tuple[float, float]], kind: str, clip: Path, volume: Path
+) -> None:
     if kind == "photo":
         source, strokes = DATA / "coffee.jpg", FLAT
     elif kind == "moving":
-        source, strokes = DATA / "bunny.mp4", (replace(FLAT[0], keys=(Key(0, at=(200, 120)), Key(9, strength=0.5))),)
+        source, strokes = clip, (replace(FLAT[0], keys=(Key(0, at=(200, 120)), Key(9, strength=0.5))),)
     elif kind == "clip":
-        source, strokes = DATA / "bunny.mp4", (Stroke(at=(200, 120, 9), by=(20, 10, 3), radius=40),)
+        source, strokes = clip, (Stroke(at=(200, 120, 9), by=(20, 10, 3), radius=40),)
     else:
-        source, strokes = DATA / "head.nii.gz", DEEP
+        source, strokes = volume, (Stroke(at=(20, 30, 25), by=(3, 0, 1), radius=20),)
     # All of the panel, and little beside it: a program takes its time for each pixel.
     view, hand = opened(source, Recipe(border=None, strokes=strokes), size=(WIDE + 120, 1400))
     view.document.select(0)
@@ -356,6 +354,13 @@ def test_what_an_export_said_is_gone_with_an_undo(gpu: Gpu, tmp_path: Path) -> N
 
 
 def type_(hand: Hand, text: str) -> None:
+    """Type a text in the place of what is there."""
+    hand.modifiers = ("Control",)
+    hand.send("key_down", key="a")
+    hand.canvas.draw()
+    hand.send("key_up", key="a")
+    hand.modifiers = ()
+    hand.canvas.draw()
     for letter in text:
         hand.send("key_down", key=letter)
         hand.send("char", data=letter, is_composing=False, input_type="insertText", repeat=False)
@@ -373,12 +378,6 @@ def test_a_number_that_is_typed_counts_when_it_is_left(
     hand.canvas.draw()
     place, before = seen["input_float ##at0"], FLAT[0].at[0]
     hand.click(place)
-    hand.modifiers = ("Control",)
-    hand.send("key_down", key="a")
-    hand.canvas.draw()
-    hand.send("key_up", key="a")
-    hand.modifiers = ()
-    hand.canvas.draw()
     type_(hand, "61")
     assert view.document.strokes[0].at[0] == before  # not yet
     if leaving == "elsewhere":
@@ -393,20 +392,14 @@ def test_a_number_that_is_typed_counts_when_it_is_left(
     assert view.document.strokes[0].at[0] == before  # it is one step
 
 
-def test_options_of_an_export(gpu: Gpu, seen: dict[str, tuple[float, float]], tmp_path: Path) -> None:
+def test_options_of_an_export(gpu: Gpu, seen: dict[str, tuple[float, float]], tmp_path: Path, clip: Path) -> None:
     stroke = Stroke(at=(120, 80, 4), by=(14, 6, 0), radius=40)
-    view, hand = opened(DATA / "bunny.mp4", Recipe(border=None, strokes=(stroke,)), size=(SIZE[0], 1600))
+    view, hand = opened(clip, Recipe(border=None, strokes=(stroke,)), size=(SIZE[0], 1600))
     view.commands.ask("export")
     for _ in range(3):
         hand.canvas.draw()
     for field, text in (("input_text ##codec", "ffv1"), ("input_float ##time scale", "3")):
         hand.click(seen[field])
-        hand.modifiers = ("Control",)
-        hand.send("key_down", key="a")
-        hand.canvas.draw()
-        hand.send("key_up", key="a")
-        hand.modifiers = ()
-        hand.canvas.draw()
         type_(hand, text)
         hand.key("Enter")
         hand.canvas.draw()

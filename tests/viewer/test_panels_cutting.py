@@ -14,9 +14,6 @@ from supple.strokes import Recipe, Stroke
 from supple.viewer.tools.planes import RENDERED
 from tests.viewer.windows import Hand, opened, watch
 
-imgui = pytest.importorskip("imgui_bundle").imgui
-pytest.importorskip("rendercanvas")
-
 Places = dict[str, tuple[float, float, float, float]]
 PULL = Stroke.grab((22, 40, 24), by=(2, -5, 3), radius=12)
 

@@ -19,10 +19,7 @@ from supple.space.geometry import Geometry
 from supple.strokes import Recipe, Stroke
 from supple.viewer.panels.view import WIDE
 from supple.viewer.tools.keys import BRUSHES, KEYS
-from tests.viewer.windows import SIZE, Hand, handle_of, opened, watch
-
-imgui = pytest.importorskip("imgui_bundle").imgui
-pytest.importorskip("rendercanvas")
+from tests.viewer.windows import SIZE, Hand, handle_of, imgui, opened, watch
 
 FLAT = (Stroke(at=(200, 120), by=(20, 10), radius=40), Stroke(at=(100, 90), by=(-10, 10), radius=30))
 GREY = np.full((300, 400, 3), 128, np.uint8)

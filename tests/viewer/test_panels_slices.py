@@ -22,12 +22,8 @@ from supple.viewer.panels.view import TOP
 from supple.viewer.tools.planes import RENDERED, planes_of
 from supple.viewer.window.options import ViewOptions
 from tests import effort
-from tests.viewer.windows import opened
+from tests.viewer.windows import DATA, imgui, opened
 
-pytest.importorskip("rendercanvas")
-pytest.importorskip("imgui_bundle")
-
-DATA = Path(supple.__file__).parent / "examples" / "data"
 PULL = Stroke.grab((45, 60, 50), by=(6, -12, 8), radius=25)
 
 
@@ -76,8 +72,6 @@ def test_scaled_values_are_those_of_the_exported_volume(gpu: Gpu, tmp_path: Path
 
 
 def test_a_ct_is_rendered_without_its_table_unless_it_is_asked_for(gpu: Gpu, monkeypatch: pytest.MonkeyPatch) -> None:
-    from imgui_bundle import imgui
-
     _, y, x = np.mgrid[:30, :40, :50]
     samples = np.where((y - 18) ** 2 + (x - 25) ** 2 / 4 < 81, 40, -1000).astype(np.int16)
     samples[:, 31, 8:42] = 300

@@ -75,7 +75,7 @@ def merged(events: list[dict[str, Any]]) -> list[dict[str, Any]]:
 
 
 @ALL
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", range(6))
 def test_merged_events_equal_single_ones(make: Make, seed: int) -> None:
     rng = random.Random(seed)
     x, y = 200.0, 150.0

@@ -17,9 +17,6 @@ from supple.viewer.panels.stages import Levels, Warped, changed
 from supple.viewer.panels.view import TOP
 from tests.viewer.windows import Hand, opened
 
-pytest.importorskip("rendercanvas")
-pytest.importorskip("imgui_bundle")
-
 ROWS, COLUMNS = 300, 410
 
 

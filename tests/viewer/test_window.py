@@ -27,12 +27,7 @@ from supple.media.volume import RawLayout
 from supple.strokes import Recipe, Stroke
 from tests.clips import decoded, make, rows
 from tests.viewer.sessions import near
-from tests.viewer.windows import Hand, in_pixels, opened, small_photo, viewing, wait_for
-
-pytest.importorskip("rendercanvas")
-pytest.importorskip("imgui_bundle")
-
-DATA = Path(supple.__file__).parent / "examples" / "data"
+from tests.viewer.windows import DATA, Hand, beside, opened, small_photo, viewing, wait_for
 
 
 @pytest.fixture
@@ -47,7 +42,6 @@ def test_a_drag_is_a_stroke_and_the_canvas_shows_what_is_exported(
 ) -> None:
     view, hand = photo_view
     hand.key("1")
-    x, y = in_pixels(view, 0, 0)
     hand.drag((350, 300), (400, 270))
     (stroke,) = view.recipe.strokes
     np.testing.assert_allclose(stroke.by, (50, -30), atol=1e-9)
@@ -66,16 +60,11 @@ def test_a_drag_is_a_stroke_and_the_canvas_shows_what_is_exported(
     # And so is the canvas, but that a GPU interpolates linearly.
     supple.warp_file(photo, state / "linear.png", recipe, filter="linear")
     wanted = image.read(state / "linear.png").pixels
-    left, top = max(x, 0), max(y, 0)
-    seen = view.pixels()
-    height, width = (min(n - s, m) for n, s, m in zip(seen.shape, (top, left), wanted.shape, strict=False))
-    part = wanted[top - y : top - y + height, left - x : left - x + width]
-    seen = seen[top : top + height, left : left + width]
+    seen, part = beside(view, exported if view.gpu.software else wanted)
     if view.gpu.software:
-        part = exported[top - y : top - y + height, left - x : left - x + width]
-        np.testing.assert_array_equal(seen, part[..., :3])
+        np.testing.assert_array_equal(seen, part)
     assert near(seen, part) < 1.0
-    assert near(image.read(photo).pixels[top - y : top - y + height, left - x : left - x + width], part) > 10
+    assert near(beside(view, image.read(photo).pixels)[1], part) > 10
 
 
 def test_nothing_is_lost(photo: Path, gpu: Gpu, state: Path) -> None:
@@ -132,8 +121,6 @@ def test_a_clip_plays_and_is_bent_in_time(gpu: Gpu, state: Path) -> None:
     needed = view.stage.needed(view.document.deformation, view.frame)
     assert view.stage.film.wait(*needed, 30.0)
     view.document.select(None)
-    seen = view.pixels()
-    left, top = in_pixels(view, 0, 0)
     with video.open_clip(DATA / "bunny.mp4") as clip:
         from supple.engine.stream import make_plan
         from supple.files.clips import deformation_of, sampling_of, streamed, work_on
@@ -142,11 +129,7 @@ def test_a_clip_plays_and_is_bent_in_time(gpu: Gpu, state: Path) -> None:
         work = work_on(clip, (d,), sampling_of(clip))
         ((_, arrays, _),) = streamed(clip, work, make_plan(work, [5]), 2e9)
         wanted = clip.to_rgb(arrays)
-    y, x = max(top, 0), max(left, 0)
-    height, width = (
-        min(n - s, m - o) for n, s, m, o in zip(seen.shape, (y, x), wanted.shape, (y - top, x - left), strict=False)
-    )
-    assert near(seen[y : y + height, x : x + width], wanted[y - top :, x - left :][:height, :width]) < 4
+    assert near(*beside(view, wanted)) < 4
     hand.key(" ")
     assert view._playing
     end = time.monotonic() + 20

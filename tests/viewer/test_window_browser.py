@@ -17,8 +17,6 @@ from supple.viewer.panels.view import LINE, TOP, WIDE
 from tests.viewer.sessions import near, on_canvas, recipe_in, warped
 from tests.viewer.windows import Browser, Pixels, needs, small_photo, viewing, wait_for
 
-pytest.importorskip("rendercanvas")
-pytest.importorskip("imgui_bundle")
 pytest.importorskip("glfw")
 Page = tuple[Browser, Path, list[str]]
 

@@ -6,16 +6,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pytest
 
 from supple.cli import command
 from supple.gpu.device import Gpu
 from supple.media import image
 from tests.viewer.sessions import near, recipe_in, warped
 from tests.viewer.windows import as_in_a_window, opened, wait_for
-
-pytest.importorskip("rendercanvas")
-pytest.importorskip("imgui_bundle")
 
 
 def both(view: Any, source: Path, name: str) -> tuple[Path, Path]:

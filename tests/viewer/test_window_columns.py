@@ -11,9 +11,6 @@ from supple.gpu.device import Gpu
 from supple.viewer.panels.view import TOP, View
 from tests.viewer.windows import opened, wait_for
 
-pytest.importorskip("rendercanvas")
-pytest.importorskip("imgui_bundle")
-
 
 def unmarked(view: View) -> None:
     """Lay out nothing over the picture; the planes of a volume are sampled all the same."""

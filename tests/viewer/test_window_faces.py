@@ -17,9 +17,6 @@ from supple.strokes import Recipe, Stroke
 from supple.viewer.document.words import listed
 from tests.viewer.windows import Hand, opened, wait_for, watch
 
-pytest.importorskip("rendercanvas")
-pytest.importorskip("imgui_bundle")
-
 PORTRAIT = Path(supple.__file__).parent / "examples" / "data" / "astronaut.jpg"
 MARKS = PORTRAIT.with_suffix(".pts")
 

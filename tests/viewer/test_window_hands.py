@@ -11,17 +11,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-import supple
 from supple.gpu.device import Gpu
 from supple.media import image
 from supple.strokes import Recipe, Stroke
 from supple.viewer.panels.view import LINE, TOP, WIDE
-from tests.viewer.windows import SIZE, Hand, Pixels, opened
-
-pytest.importorskip("rendercanvas")
-pytest.importorskip("imgui_bundle")
-
-DATA = Path(supple.__file__).parent / "examples" / "data"
+from tests.viewer.windows import DATA, SIZE, Hand, Pixels, opened
 
 
 @pytest.fixture

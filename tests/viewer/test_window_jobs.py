@@ -10,12 +10,8 @@ import pytest
 import supple
 from supple.gpu.device import Gpu
 from supple.media import image
-from tests.viewer.windows import opened, wait_for, watch
+from tests.viewer.windows import DATA, opened, wait_for, watch
 
-pytest.importorskip("rendercanvas")
-pytest.importorskip("imgui_bundle")
-
-DATA = Path(supple.__file__).parent / "examples" / "data"
 AXIS = "m |220,178>225,105"  # from the chin to the nose
 BEND = "w 171,115>195,115 318,136>342,136 g 225,250>225,275"
 Ends = dict[tuple[int, int], tuple[float, float]]
@@ -71,7 +67,7 @@ def test_a_job_by_hand(
 ) -> None:
     sliders: dict[str, tuple[float, float]] = {}
     watch(monkeypatch, "slider_float", lambda name, label, a, b: sliders.update({label: (a.x + 20, 0.5 * (a.y + b.y))}))
-    view, hand = opened(DATA / f"{picture}.jpg", size=(1280, 800))
+    view, hand = opened(DATA / f"{picture}.jpg", size=(1000, 640))
     tools = view.tools
     assert tools.radius == min(view.document.shape) / 12
     assert 4 * len(hands.split()) < 60  # seconds, of which a drag takes two

@@ -18,9 +18,6 @@ from supple.viewer.panels.overlay import status
 from tests.clips import decoded, make, rows
 from tests.viewer.windows import Hand, in_pixels, opened, wait_for, watch
 
-imgui = pytest.importorskip("imgui_bundle").imgui
-pytest.importorskip("rendercanvas")
-
 KEYS = (Key(3, at=(300, 150), strength=0), Key(6, strength=1), Key(12, at=(380, 190), strength=0.5))
 MOVING = Stroke(at=(300, 150), by=(30, -20), radius=50, keys=KEYS)
 Boxes = dict[str, tuple[tuple[float, float], tuple[float, float]]]

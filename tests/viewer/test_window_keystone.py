@@ -13,9 +13,6 @@ from supple.media import image
 from supple.strokes import Recipe
 from tests.viewer.windows import opened, wait_for
 
-pytest.importorskip("rendercanvas")
-pytest.importorskip("imgui_bundle")
-
 HEIGHT, WIDTH = 300, 420
 DOOR = ((130.0, 70.0), (300.0, 95.0), (310.0, 220.0), (110.0, 245.0))
 

@@ -14,9 +14,6 @@ from supple.gpu.device import Gpu
 from supple.media import image
 from tests.viewer.windows import opened, wait_for
 
-pytest.importorskip("rendercanvas")
-pytest.importorskip("imgui_bundle")
-
 TILT = 4.0  # degrees, clockwise
 HEIGHT, WIDTH = 300, 420
 

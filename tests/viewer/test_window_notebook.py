@@ -15,11 +15,7 @@ import pyvips
 
 import supple
 from supple.gpu.device import Gpu
-
-pytest.importorskip("rendercanvas")
-pytest.importorskip("imgui_bundle")
-
-DATA = Path(supple.__file__).parent / "examples" / "data"
+from tests.viewer.windows import DATA
 
 
 def test_what_is_not_there_is_said(monkeypatch: pytest.MonkeyPatch) -> None:

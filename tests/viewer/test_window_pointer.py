@@ -16,8 +16,6 @@ from supple.viewer.window.launch import SIZE
 from tests.viewer.sessions import near, on_canvas, recipe_in, warped
 from tests.viewer.windows import Pixels, a_screen, viewing, wait_for
 
-pytest.importorskip("rendercanvas")
-pytest.importorskip("imgui_bundle")
 pytest.importorskip("glfw")
 AREA = (SIZE[0] - WIDE, SIZE[1] - TOP - LINE)
 

@@ -24,12 +24,8 @@ from supple.viewer.panels.view import LINE, TOP, WIDE
 from supple.viewer.tools.comparing import MODES, Comparison
 from supple.viewer.tools.planes import FIXED, RENDERED
 from supple.viewer.window.launch import SIZE
-from tests.viewer.windows import Hand, a_screen, opened, viewing, wait_for
+from tests.viewer.windows import DATA, Hand, a_screen, imgui, opened, viewing, wait_for
 
-pytest.importorskip("rendercanvas")
-pytest.importorskip("imgui_bundle")
-
-DATA = Path(supple.__file__).parent / "examples" / "data"
 OFF = np.array([6.0, -5.0, 4.0])  # millimetres, in LPS, by which the field is wrong
 PLACE = np.array([[0.96, 0.28, 0.0, 40.0], [-0.28, 0.96, 0.0, -15.0], [0.0, 0.0, 1.0, 8.0]])  # of the moving head
 WRONG = (22, 27, 26)  # the voxel of the fixed head about which it is
@@ -239,8 +235,6 @@ def test_the_command_opens_both_on_a_screen_for_a_real_pointer(gpu: Gpu, heads: 
 
 def chosen(patch: pytest.MonkeyPatch, name: str, index: int) -> None:
     """Choose a row of a list in the next frame, as a click on it does."""
-    from imgui_bundle import imgui
-
     draw, rest = imgui.combo, [name]
 
     def drawn(label: str, now: int, items: Any) -> tuple[bool, int]:
@@ -259,8 +253,6 @@ def through_field(heads: Any, place: Any) -> Any:
 
 def put(patch: pytest.MonkeyPatch, found: dict[str, tuple[float, float]]) -> None:
     """Keep where buttons are."""
-    from imgui_bundle import imgui
-
     draw = imgui.button
 
     def drawn(label: str, *rest: Any) -> bool:
@@ -506,8 +498,6 @@ def test_strokes_in_millimetres_are_listed_in_millimetres(gpu: Gpu, monkeypatch:
     recipe = Recipe(border=None, space="RAS", strokes=(Stroke.grab(at, by=(0, 12, 0), radius=20),))
     view, hand = opened(DATA / "head.nii.gz", recipe, size=(1280, 800))
     said: list[str] = []
-    from imgui_bundle import imgui
-
     draw = imgui.selectable
     monkeypatch.setattr(imgui, "selectable", lambda label, *a, **b: said.append(label) or draw(label, *a, **b))
     hand.canvas.draw()

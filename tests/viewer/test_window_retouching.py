@@ -17,10 +17,7 @@ from supple.strokes import Recipe, Stroke
 from supple.viewer.panels.actions import ACTIONS
 from supple.viewer.panels.overlay import grid_step, status
 from supple.viewer.panels.view import LINE, TOP
-from tests.viewer.windows import SIZE, Hand, handle_of, opened, watch
-
-imgui = pytest.importorskip("imgui_bundle").imgui
-pytest.importorskip("rendercanvas")
+from tests.viewer.windows import SIZE, Hand, handle_of, imgui, opened, watch
 
 PULL = Stroke(at=(200, 120), by=(20, 10), radius=40)
 GREY = np.full((300, 400, 3), 128, np.uint8)

@@ -17,9 +17,6 @@ from supple.viewer.panels.stages import FrameCache
 from supple.viewer.panels.view import TOP
 from tests.viewer.windows import Hand, in_pixels, opened, wait_for
 
-pytest.importorskip("rendercanvas")
-pytest.importorskip("imgui_bundle")
-
 # Where a pixel one to the right, and one below, is shown, as display matrices have it: x and y of each.
 DISPLAYS = {
     "clockwise": (0, 1, -1, 0),

@@ -32,6 +32,10 @@ from supple.render.scene import Scene
 from supple.viewer.panels.view import TOP
 from tests.children import HEARING, SOURCE
 
+pytest.importorskip("rendercanvas")
+imgui = pytest.importorskip("imgui_bundle").imgui
+
+DATA = Path(supple.__file__).parent / "examples" / "data"
 MUST = os.environ.get("SUPPLE_TEST_WINDOW") == "1"
 SIZE = (1000, 640)
 Pixels = np.ndarray[Any, np.dtype[np.uint8]]
@@ -143,6 +147,14 @@ def in_pixels(view: Any, *point: float) -> tuple[int, int]:
 _opened: list[Any] = []
 
 
+def beside(view: Any, picture: Pixels) -> tuple[np.ndarray, np.ndarray]:
+    """What a window shows of a picture at 100 %, and the part of the picture that is there, in whole numbers."""
+    (x, y), seen, part = in_pixels(view, 0, 0), view.pixels().astype(int), picture[..., :3].astype(int)
+    seen, part = seen[max(y, 0) :, max(x, 0) :], part[max(-y, 0) :, max(-x, 0) :]
+    height, width = (min(a, b) for a, b in zip(seen.shape[:2], part.shape[:2], strict=True))
+    return seen[:height, :width], part[:height, :width]
+
+
 def opened(
     source: Any, recipe: Any = None, *, ratio: float = 1.0, size: tuple[int, int] = SIZE, **options: Any
 ) -> tuple[Any, Hand]:
@@ -173,8 +185,6 @@ def close_all() -> None:
 
 def watch(patch: pytest.MonkeyPatch, names: str, put: Callable[[str, str, Any, Any], None]) -> None:
     """Say where the controls of each frame are: by their functions and labels, their upper left and lower right."""
-    from imgui_bundle import imgui
-
     for name in names.split():
         draw = getattr(imgui, name)
 
@@ -245,28 +255,17 @@ def a_screen(folder: Path) -> Iterator[Mouse]:
     needs("Xvfb", "xdotool")
     folder.mkdir()
     read, write = os.pipe()
+    told = ["-displayfd", str(write), "-fbdir", str(folder)]
     server = subprocess.Popen(
         # Each program that was alone on it would reset it, and a window that comes just then would not survive.
-        [
-            "Xvfb",
-            "-displayfd",
-            str(write),
-            "-noreset",
-            "-screen",
-            "0",
-            "1280x800x24",
-            "-nolisten",
-            "tcp",
-            "-fbdir",
-            str(folder),
-        ],
+        ["Xvfb", "-noreset", "-screen", "0", "1280x800x24", "-nolisten", "tcp", *told],
         pass_fds=[write],
         stderr=subprocess.DEVNULL,
     )
     os.close(write)
     try:
-        with os.fdopen(read) as told:
-            yield Mouse(f":{told.readline().strip()}", folder / "Xvfb_screen0")
+        with os.fdopen(read) as said:
+            yield Mouse(f":{said.readline().strip()}", folder / "Xvfb_screen0")
     finally:
         server.terminate()
         server.wait()

@@ -5,12 +5,13 @@ import warnings
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image
 
 from supple.media.image import DepthWarning, MetadataWarning, read, write
 from supple.media.image.exif import for_tiff, from_tiff, into_tiff, is_whole
+from tests.effort import examples
 from tests.media.image.pictures import FORMATS, SOURCES, UPRIGHT, loaded, save, smooth
 
 CODES = {1: "B", 2: "B", 3: "H", 4: "I", 5: "I", 7: "B", 10: "i", 16: "Q"}
@@ -158,7 +159,7 @@ class TestExifInTiff:
         with pytest.warns(MetadataWarning, match="a part of its EXIF"):
             read(tmp_path / "in.tif")
 
-    @settings(max_examples=150)
+    @examples(50)
     @given(st.data(), st.sampled_from("<>"), st.booleans())
     def test_any_damage_comes_to_no_harm(self, tmp_path_factory, data, order, big):
         path = tmp_path_factory.getbasetemp() / "hurt.tif"

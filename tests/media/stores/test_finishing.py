@@ -16,6 +16,7 @@ import pytest
 from supple import SuppleError
 from supple.media.stores.image import open_image
 from supple.media.stores.target import create, holding
+from tests.effort import pairs
 from tests.media.stores.images import child, files, fill, small, whole
 
 HOLDER = """
@@ -77,9 +78,9 @@ def test_what_is_there_no_more_is_not_published(gone: str, tmp_path: Path) -> No
     assert (gone == "all") != partial.exists()
 
 
-@pytest.mark.parametrize("own", [False, True])
-@pytest.mark.parametrize("name", ["out.zarr", "link.zarr", "image"])
-@pytest.mark.parametrize("step", ["old", "new", "marker"])
+@pytest.mark.parametrize(
+    ("step", "name", "own"), pairs(["old", "new", "marker"], ["out.zarr", "link.zarr", "image"], [False, True])
+)
 def test_an_interrupt_of_finishing_loses_nothing(
     step: str, name: str, own: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -42,7 +42,7 @@ def test_what_is_sought_is_what_decoding_from_the_start_gives(kind: str, suffix:
         whole = [samples(picture, clip) for picture in clip.frames()]
         assert len(whole) == COUNT
         assert len(set(whole)) == COUNT
-        for k in (0, 3, 9, 10, 11, 19, 20, 23, 29, 31, 38, 39):
+        for k in (0, 9, 10, 19, 23, 31, 39):
             for number, (k_found, picture) in zip(range(k, k + 4), clip.frames_from(k), strict=False):
                 assert k_found == number
                 assert samples(picture, clip) == whole[number], (k, number)
