@@ -563,6 +563,7 @@ void sample_converted(const Plan<D>& plan, const Job& job) {
                 const Reader<N, N, 4, D> four(job, span, held, pyramid);
                 const Sampler<N, D>& sample = numbers.lanes == 1 ? (const Sampler<N, D>&)one : four;
                 plan.each_row(job.grid, j, wanted, slopes_of(job), [&](const Row<D>& row, int x, int y, int n, int at) {
+                    if (row.idle) return copy_same(job, own_frame(plan, job), x, y, n, nullptr);
                     if (!follow(job, sample, row, s, at, n)) {
                         s.prints.find(row, job.filter);
                         sample(row, s.prints, s.weight, at, n, nullptr, s.numbers);
