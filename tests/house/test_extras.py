@@ -16,7 +16,6 @@ from supple.media import image
 
 DATA = Path(supple.__file__).parent / "examples" / "data"
 GRAB = ("--grab", "20,20:23,20", "--radius", "6")
-DEEP = ("--grab", "45,88,62:45,76,58", "--radius", "40")
 EXTRAS = {
     "video": ["av"],
     "flow": ["cv2"],
@@ -102,8 +101,8 @@ NEEDED: dict[str, dict[tuple[str, ...], str]] = {
         ): "follow the motion between frames need cv2",
     },
     "volume": {
-        ("warp", HEAD, "out.mgz", *DEEP): "MGH files need nibabel",
-        ("warp", HEAD, "out.nrrd", *DEEP): "need SimpleITK",
+        ("render", HEAD, "out.png"): "NIfTI files need nibabel",
+        ("warp", HEAD, "out.nii", *GRAB): "NIfTI files need nibabel",
     },
     "plot": {
         ("plot", "in.png", "out.png", *GRAB): "plots need matplotlib",
@@ -123,10 +122,6 @@ def test_what_is_missing_is_one_sentence_with_the_command_that_brings_it(here: P
         assert what in said
         assert f"pip install 'supple[{extra}]'" in said
     assert [path.name for path in here.iterdir()] == ["in.png"]
-
-
-def test_niftis_need_nothing_more(here: Path) -> None:
-    assert commands([*EXTRAS["volume"], "pyvips"], [("warp", HEAD, "out.nii", *DEEP)], here) == [(0, "")]
 
 
 def test_without_opencv_frames_are_mixed_and_nothing_is_said(here: Path) -> None:
