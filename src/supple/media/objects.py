@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from supple.errors import SuppleError
-from supple.media.volume import itk
+from supple.media.volume import itk, nifti
 from supple.media.volume.data import TO_RAS, Array, Volume, native, placed, rescaled_dtype
 from supple.space.checks import library_of
 from supple.space.geometry import Geometry, Grid
@@ -73,6 +73,7 @@ def _of_itk(image: Any) -> Held:
 def _of_nibabel(image: Any) -> Held:
     if getattr(image, "affine", None) is None:
         raise SuppleError("an image of nibabel must have an affine, which says where its voxels lie, found none")
+    nifti.imported()
     data, kept = np.asanyarray(image.dataobj), np.dtype(image.get_data_dtype())
     scaled = hasattr(image.dataobj, "slope") and data.dtype != kept
     if scaled:  # by slope and intercept, in float64

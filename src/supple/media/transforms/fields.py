@@ -18,11 +18,11 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from supple.engine.work import Array
-from supple.errors import VolumeWarning, need, shown
+from supple.errors import VolumeWarning, shown
 from supple.media.files import PathLike, head_of, replacing, unreadable, unwritable
 from supple.media.transforms import base
 from supple.media.transforms.affines import spelled
-from supple.media.volume import mgh, nifti, record
+from supple.media.volume import mgh, nifti
 from supple.media.volume.data import Volume, native, reading
 from supple.space.geometry import Grid
 
@@ -150,18 +150,15 @@ def write_nifti(path: PathLike, temporary: Path, values: Array, matrix: base.Mat
         sizes = " x ".join(map(str, values.shape[2::-1]))
         what = f"NIfTI ends at {nifti.LONGEST} voxels on a side, and the field has {sizes}"
         raise unwritable(path, what, "write .nrrd or .mha" if kind is VECTORS["itk"] else "write a smaller field")
-    header = record.made(record.FIRST)
-    record.set_type(header, values.dtype.name)
-    shape = (*values.shape[2::-1], *((1, 3) if kind.axes == 5 else (3,)))
-    header["dim"][: kind.axes + 1] = (kind.axes, *shape)
-    record.set_forms(header, base.LPS @ matrix, 1, 1)
-    header["intent_code"], header["intent_name"], header["xyzt_units"] = kind.intent, kind.name.encode(), 2  # mm
-    header["scl_slope"] = 1
+    nibabel = nifti.imported()
+    affine, shaped = base.LPS @ matrix, values.transpose(2, 1, 0, 3)
+    image = nibabel.Nifti1Image(shaped if kind.axes == 4 else shaped[:, :, :, None], affine)
+    image.set_sform(affine, code=1)
+    image.set_qform(affine, code=1)
+    image.header["intent_code"], image.header["intent_name"] = kind.intent, kind.name.encode()
+    image.header.set_xyzt_units("mm")
     with nifti.writing(temporary, str(path)) as file:
-        file.write(header.tobytes())
-        for axis in range(3):
-            for plane in values:
-                file.write(np.ascontiguousarray(plane[..., axis]).data)
+        image.to_file_map({"image": nibabel.FileHolder(fileobj=file)})
 
 
 def announced(path: PathLike, header: Any) -> str:
@@ -225,9 +222,7 @@ def _nifti(path: PathLike, convention: str) -> tuple[Array, Grid, Vectors]:
 
 
 def _dataset(path: PathLike) -> tuple[Array, Grid]:
-    need("volume", "datasets of AFNI", "nibabel")
-    import nibabel
-
+    nibabel = nifti.imported()
     head_of(path, 4)
     with reading(path):
         try:

@@ -1,4 +1,4 @@
-"""NIfTI files: the header as a record, the voxels mapped from the file or read into memory."""
+"""NIfTI files: the header by nibabel, the voxels mapped from the file or read into memory."""
 
 from __future__ import annotations
 
@@ -6,17 +6,17 @@ import contextlib
 import gzip
 import math
 import os
+import sys
 import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import IO, Any, Literal, cast
+from typing import IO, Any, cast
 
 import numpy as np
 
-from supple.errors import VolumeWarning, shown
+from supple.errors import VolumeWarning, need, shown
 from supple.media.files import PathLike, head_of, replacing, unreadable
-from supple.media.volume import record
 from supple.media.volume.data import (
     DTYPES,
     TO_RAS,
@@ -38,9 +38,25 @@ _COLOURS = {128: 3, 2304: 4}  # RGB24, RGBA32
 _VECTOR = 1007  # the intent of a vector for each voxel
 LONGEST = 32_767  # an axis in the first version of the format
 _CHUNK = 1 << 22
-_LONGEST = 1 << 28  # bytes of extensions
-_MM_AND_SECONDS = 2 + 8
 _SAME = 0.01  # of a voxel: the largest difference of qform and sform by rounding
+
+
+def imported() -> Any:
+    """Return nibabel, imported at the first use.
+
+    It would import pydicom, for an extension of NIfTI that few files have, which takes seven times as long as all of
+    nibabel: without it, these extensions are bytes, as they are copied.
+    """
+    need("volume", "NIfTI files", "nibabel")
+    hidden = not sys.modules.keys() & {"nibabel", "pydicom"}
+    if hidden:
+        sys.modules["pydicom"] = None  # type: ignore[assignment]
+    try:
+        import nibabel
+    finally:
+        if hidden:
+            del sys.modules["pydicom"]
+    return nibabel
 
 
 def read(path: PathLike, *, header_only: bool = False) -> Volume:
@@ -76,7 +92,7 @@ def read(path: PathLike, *, header_only: bool = False) -> Volume:
         offset = int(header["vox_offset"])
     except (ValueError, OverflowError) as error:
         raise unreadable(path, f"its voxels begin at byte {header['vox_offset']}", "correct its header") from error
-    offset = max(offset, int(header["sizeof_hdr"]) + 4 if single else 0)
+    offset = max(offset, header.single_vox_offset) if single else max(offset, 0)
     shape = (*sizes[::-1], colours) if colours else sizes[::-1]
     with reading(data):
         samples = native(_samples(data, shape, dtype, offset, colours=bool(colours)))
@@ -109,27 +125,27 @@ def opened(path: PathLike) -> IO[bytes]:
 
 def _header(path: Path) -> tuple[Any, bool]:
     """Return the header of a file, and whether the voxels are in the same file."""
+    nibabel = imported()
+    from nibabel.spatialimages import HeaderDataError
+    from nibabel.wrapstruct import WrapStructError
+
     with reading(path), opened(path) as file:
-        head = file.read(record.FIRST)
-        orders: dict[Literal["<", ">"], Literal["little", "big"]] = {"<": "little", ">": "big"}
-        sizes = {int.from_bytes(head[:4], name): order for order, name in orders.items()}
-        size = record.SECOND if record.SECOND in sizes else record.FIRST
-        magic = head[4:8] if size == record.SECOND else head[344:348]
-        if size not in sizes or magic not in (b"n+1\0", b"ni1\0", b"n+2\0", b"ni2\0"):
-            old = magic == bytes(4) and size in sizes
+        head = file.read(348)
+        sizes = {int.from_bytes(head[:4], order) for order in ("little", "big")}
+        magic = head[4:8] if 540 in sizes else head[344:348]
+        if not sizes & {348, 540} or magic not in (b"n+1\0", b"ni1\0", b"n+2\0", b"ni2\0"):
+            old = magic == bytes(4) and 348 in sizes
             what = "it is an Analyze file, which does not tell left from right" if old else "it is no NIfTI file"
             raise unreadable(path, what, "convert it to NIfTI" if old else "check its name")
-        head += file.read(size + 4 - len(head))
-        if len(head) < size:
-            raise unreadable(path, f"its header is damaged (it ends after {len(head)} bytes)")
-        single, more = magic[1:2] == b"+", b""
-        if any(head[size : size + 1]):  # extensions follow, which are copied unchanged
-            end = float(np.frombuffer(head[:size] + bytes(4), record.layout(size, sizes[size]))["vox_offset"][0])
-            count = min(max(np.nan_to_num(end) - size - 4, 0), _LONGEST) if single else _LONGEST
-            more = file.read(int(count))
-            more = more[: len(more) & -16]
-        whole = bytearray(head[:size] + (head[size:] if more else bytes(4)) + more)
-        return np.frombuffer(whole, record.layout(size, sizes[size], 4 + len(more))).reshape(()), single
+        kind: Any = nibabel.Nifti2Header if 540 in sizes else nibabel.Nifti1Header
+        file.seek(0)
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # on odd extensions, which are copied unchanged
+                header = kind.from_fileobj(file, check=False)
+        except (HeaderDataError, WrapStructError, ValueError) as error:
+            raise unreadable(path, f"its header is damaged ({error})") from error
+        return header, header["magic"] == kind.single_magic
 
 
 def _axes(path: PathLike, header: Any) -> tuple[tuple[int, ...], int, bool]:
@@ -153,13 +169,16 @@ def _axes(path: PathLike, header: Any) -> tuple[tuple[int, ...], int, bool]:
 
 
 def _dtype(path: PathLike, header: Any) -> np.dtype[Any]:
+    from nibabel.nifti1 import data_type_codes
+
     code = int(header["datatype"])
     if code in _COLOURS:
         return np.dtype(np.uint8)
-    if code not in record.CODES:
-        known = record.OTHERS.get(code, f"type {code}")
+    known = data_type_codes.label.get(code, f"type {code}")
+    if known not in DTYPES:
         raise unreadable(path, f"its voxels are of {known}", f"convert them to one of {', '.join(DTYPES)}")
-    return np.dtype(record.CODES[code]).newbyteorder(header["dim"].dtype.byteorder)
+    dtype: np.dtype[Any] = header.get_data_dtype()
+    return dtype
 
 
 def _samples(path: PathLike, shape: tuple[int, ...], dtype: np.dtype[Any], offset: int, *, colours: bool) -> Array:
@@ -205,7 +224,7 @@ def _check_rest(path: PathLike, wanted: int, rest: int, row: int) -> None:
 
 def _geometry(path: PathLike, first: Path, header: Any, sizes: tuple[int, ...], unit: float) -> Geometry:
     """Return the geometry of the voxels: by the sform or the qform, or by the spacing alone."""
-    sform = record.sform(header) if header["sform_code"] > 0 else None
+    sform = np.array(header.get_sform(), np.float64) if header["sform_code"] > 0 else None
     qform = _qform(path, header, needed=sform is None) if header["qform_code"] > 0 else None
     steps = [unit * float(x) for x in header["pixdim"][1:4]]
     if sform is None and qform is None:
@@ -252,11 +271,13 @@ def _geometry(path: PathLike, first: Path, header: Any, sizes: tuple[int, ...], 
 
 
 def _qform(path: PathLike, header: Any, *, needed: bool) -> Array | None:
+    from nibabel.spatialimages import HeaderDataError
+
     if needed:
         check_spacing(path, [float(x) for x in header["pixdim"][1:4]])
     try:
-        return record.qform(header)
-    except ValueError as error:
+        return np.array(header.get_qform(), np.float64)
+    except (HeaderDataError, ValueError) as error:
         if needed:
             raise unreadable(path, f"its qform is damaged ({error})", "correct its header") from error
         return None
@@ -283,9 +304,10 @@ def write(path: PathLike, samples: Array, like: Volume, *, force: bool = False) 
         header = _made(samples, like)
     colours = int(header["datatype"]) in _COLOURS
     stored = samples if colours or samples.ndim == 3 or like.series else np.moveaxis(samples, -1, 0)
-    dtype = samples.dtype.newbyteorder(header["dim"].dtype.byteorder)
+    dtype = samples.dtype.newbyteorder(header.endianness)
     with replacing(path, force=force) as temporary, writing(temporary, os.fspath(path)) as file:
-        file.write(header.tobytes())
+        header.write_to(file)
+        file.write(bytes(int(header["vox_offset"]) - file.tell()))
         for slab in stored if stored.ndim == 3 or colours else (part for whole in stored for part in whole):
             file.write(np.ascontiguousarray(slab, dtype).data)
 
@@ -304,14 +326,15 @@ def writing(temporary: Path, name: str) -> Iterator[IO[bytes]]:
 
 def _copied(known: Any, samples: Array) -> Any:
     """Return a copy of a file's header, for samples of perhaps another type, in one file."""
-    header, colours = record.copied(known), int(known["datatype"]) in _COLOURS
-    if colours and samples.dtype != np.uint8:
-        return None
-    if not colours:
-        record.set_type(header, samples.dtype.name)
-    if int(header["sizeof_hdr"]) == record.FIRST:  # the range of the source's values
+    header = known.copy()
+    if int(header["datatype"]) not in _COLOURS or samples.dtype != np.uint8:
+        if int(header["datatype"]) in _COLOURS:
+            return None
+        header.set_data_dtype(samples.dtype)
+    if "glmax" in header:  # the range of the source's values
         header["glmax"] = header["glmin"] = 0
-    record.finish(header)
+    header["magic"] = header.single_magic
+    header["vox_offset"] = header.single_vox_offset + header.extensions.get_sizeondisk()
     return header
 
 
@@ -330,7 +353,9 @@ def _placed(header: Any, like: Volume) -> Any:
         return header
     affine = TO_RAS @ like.geometry.matrix
     affine[:3] /= unit
-    record.set_forms(header, affine, *(codes if any(codes) else (1, 1)))
+    for set_form, code in zip((header.set_qform, header.set_sform), codes if any(codes) else (1, 1), strict=True):
+        if code:
+            set_form(affine, code)
     _check_forms(header, like)
     return header
 
@@ -342,18 +367,26 @@ def _check_forms(header: Any, like: Volume) -> None:
 
 
 def _made(samples: Array, like: Volume) -> Any:
-    header = record.made(record.SECOND if max(samples.shape) > LONGEST else record.FIRST)
+    nibabel = imported()
+
+    long = max(samples.shape) > LONGEST
+    kind: Any = nibabel.Nifti2Header if long else nibabel.Nifti1Header
+    header = kind()
     components = samples.shape[3] if samples.ndim == 4 and not like.series else 1
     colours = samples.dtype == np.uint8 and components in _COLOURS.values()
-    record.set_type(header, f"{components}u1" if colours else samples.dtype.name)
-    sizes: Sequence[int] = like.sizes
+    spacing = like.geometry.spacing
+    header.set_data_dtype({3: "RGB", 4: "RGBA"}[components] if colours else samples.dtype)
     if components > 1 and not colours:
-        sizes, header["intent_code"] = (*like.sizes, 1, components), _VECTOR
-    elif like.series:
-        sizes, header["pixdim"][4] = (*like.sizes, len(samples)), like.interval
-    header["dim"][: len(sizes) + 1] = (len(sizes), *sizes)
-    record.set_forms(header, TO_RAS @ like.geometry.matrix, 1, 1)
+        header.set_data_shape((*like.sizes, 1, components))
+        header.set_intent("vector")
+    else:
+        header.set_data_shape((*like.sizes, len(samples)) if like.series else like.sizes)
+    header.set_zooms((*spacing, like.interval) if like.series else (*spacing, 1.0, 1.0)[: len(header.get_data_shape())])
+    affine = TO_RAS @ like.geometry.matrix
+    header.set_qform(affine, 1)
+    header.set_sform(affine, 1)
     _check_forms(header, like)
-    header["xyzt_units"] = _MM_AND_SECONDS
+    header.set_xyzt_units("mm", "sec")
     header["scl_slope"], header["scl_inter"] = like.scaling
+    header["vox_offset"] = header.single_vox_offset
     return header
