@@ -153,6 +153,7 @@ INLINE void sum_frames(const Frames<T>& f, const Windows& at, int before, Weight
     }
     ptrdiff_t place = (at.y - before) * f.row + (at.x - before) * C;
     auto one = [&](const T* frame, Eight* v) INLINE_LAMBDA {
+        __builtin_prefetch(frame + place + 4 * f.row);  // rows are too short for the processor to see them coming
         if (C > 1 || at.wide >= BLOCK)
             sum_windows<true, C>(frame + place, f.row, at, w, v);
         else
