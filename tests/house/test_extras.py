@@ -82,7 +82,7 @@ def test_pictures_need_no_extra(here: Path) -> None:
 
 CLIP, HEAD = str(DATA / "bunny.mp4"), str(DATA / "head.nii.gz")
 LATER = ("--grab", "320,180,9:320,180,11", "--radius", "60")
-NEEDED = {
+NEEDED: dict[str, dict[tuple[str, ...], str]] = {
     "video": {
         ("warp", CLIP, "out.mp4", *GRAB): "videos and image sequences need av",
         ("info", CLIP): "videos and image sequences need av",

@@ -280,3 +280,15 @@ def test_windows_of_values_are_whole_at_the_default_step() -> None:
             camera = scene.framed(Camera(40, 20), (200, 200))
             made.append(scene.render(camera, (200, 200)).pixels((0.0, 0.0, 0.0)).astype(np.float64))
         assert 10 * np.log10(255**2 / np.mean((made[0] - made[1]) ** 2)) > least
+
+
+def test_slices_that_are_far_apart_are_smoothed_and_nothing_else() -> None:
+    samples = np.random.default_rng(1).integers(0, 255, (6, 7, 8), np.uint8)
+    coarse = Geometry(spacing=(1.0, 1.0, 2.5))
+    wanted = np.rint(ndimage.correlate1d(samples.astype(float), [1, 4, 1], axis=0, mode="nearest") / 6)
+    assert np.array_equal(Scene(samples, coarse).samples, wanted)
+    ct = samples.astype(np.int16) * 8 - 1000  # in Hounsfield units, which presets are for
+    for kept in (samples, ct):
+        assert np.array_equal(Scene(kept, Geometry(spacing=(1.0, 1.0, 2.0))).samples, kept)
+    assert np.array_equal(Scene(ct, coarse).samples, ct)
+    assert np.array_equal(Scene(samples, coarse, projection="maximum").samples, samples)

@@ -703,11 +703,11 @@ void Plan<D>::fill_pixels(const Root& root, int index, int y, int n, Row<D>& row
     }
 }
 
-// Find the samples that lie outside the ball of every stroke, or are frozen, and set them to the identity.
+// Find the samples that lie outside the ball of every stroke, or are frozen. True if these are all of the row.
 template <int D>
-void Plan<D>::mark(const Root& root, int index, const Grid& grid, int x, int y, int n, Row<D>& row) const {
+bool Plan<D>::mark(const Root& root, int index, const Grid& grid, int x, int y, int n, Row<D>& row) const {
     row.some_same = false;
-    if (!root.rim) return;
+    if (!root.rim) return false;
     std::fill(row.same, row.same + n, true);
     const Freeze* last = nullptr;  // neighbours share one
     bool frozen[STRIDE];
@@ -734,8 +734,9 @@ void Plan<D>::mark(const Root& root, int index, const Grid& grid, int x, int y, 
             }
             for (int i = from; i < to; i++) row.same[i] = row.same[i] && k.freeze && frozen[i];
         }
-    for (int i = 0; i < n; i++)
-        if (row.same[i]) same(row, i, x, y);
+    const auto count = std::count(row.same, row.same + n, true);
+    row.some_same = count > 0;
+    return count == n;
 }
 
 // Set a sample of a row, which begins with x, to the identity.
@@ -797,12 +798,12 @@ template <int D>
 bool Plan<D>::fill_root(const Grid& grid, int index, int y, Slopes slopes, Row<D>& row) const {
     const Root& root = roots[index];
     if (root.held) return under->fill_root(grid, index, y, slopes, row);
-    row.idle = is_still(index);
-    if (row.idle) return false;
     const Band& band = bands[root.band];
     const double at = y * grid.step[1] + grid.offset[1];
     int left, right;
     columns_of(grid, index % across, left, right);
+    row.idle = is_still(index) || (mark(root, index, grid, left, y, right - left, row) && !under);
+    if (row.idle) return false;
     row.sloped =
         slopes == Slopes::ALL || (slopes == Slopes::SHRINKING && may_shrink(grid, root.largest, map != nullptr));
     if (root.first_pixel >= 0) fill_pixels(root, index, y, right - left, row);
@@ -815,7 +816,8 @@ bool Plan<D>::fill_root(const Grid& grid, int index, int y, Slopes slopes, Row<D
         if (from < to) fill(leaf, grid, y, from, to, left, row);
     }
     row.count = right - left;
-    mark(root, index, grid, left, y, right - left, row);
+    for (int i = 0; row.some_same && i < row.count; i++)
+        if (row.same[i]) same(row, i, left, y);
     if (under && root.rim) restore(index, grid, left, y, right - left, row);
     return true;
 }

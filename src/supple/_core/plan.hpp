@@ -205,7 +205,7 @@ private:
     NOINLINE void fill(const Leaf<D>& leaf, const Grid& grid, int y, int from, int to, int left,
                        Row<D>& __restrict row) const;
     void widen(const Leaf<D>& leaf, Extent<D>& e) const;
-    void mark(const Root& root, int index, const Grid& grid, int x, int y, int n, Row<D>& row) const;
+    bool mark(const Root& root, int index, const Grid& grid, int x, int y, int n, Row<D>& row) const;
     void same(Row<D>& row, int i, int x, int y) const;
     bool fill_root(const Grid& grid, int index, int y, Slopes slopes, Row<D>& row) const;
     void restore(int index, const Grid& grid, int x, int y, int n, Row<D>& row) const;

@@ -70,13 +70,25 @@ INLINE void spot_weights(const Prints& prints, int k, Weights<2, WINDOW>& w) {
     }
 }
 
-// The least and the largest of eight.
-INLINE int least_of(Eights v) {
-    v = least(v, Eights(__builtin_shufflevector(v, v, 4, 5, 6, 7, 0, 1, 2, 3)));
-    v = least(v, Eights(__builtin_shufflevector(v, v, 2, 3, 0, 1, 6, 7, 4, 5)));
-    return v[0] < v[1] ? v[0] : v[1];
+// The largest of eight.
+INLINE int most_of(Eights v) {
+    v = most(v, Eights(__builtin_shufflevector(v, v, 4, 5, 6, 7, 0, 1, 2, 3)));
+    v = most(v, Eights(__builtin_shufflevector(v, v, 2, 3, 0, 1, 6, 7, 4, 5)));
+    return v[0] > v[1] ? v[0] : v[1];
 }
-INLINE int most_of(Eights v) { return -least_of(-v); }
+// The least of eight, and by how much the largest is above it: exact below 2^15, which is more than any block needs.
+INLINE int least_of(Eights v, int& above) {
+    const int first = v[0];
+    const __m256i apart = (__m256i)(v - first);
+    const __m128i words = _mm_packs_epi32(_mm256_castsi256_si128(apart), _mm256_extracti128_si256(apart, 1));
+    auto least = [&](int flip) INLINE_LAMBDA {  // of unsigned words, by one instruction
+        const __m128i found = _mm_minpos_epu16(_mm_xor_si128(words, _mm_set1_epi16((short)flip)));
+        return _mm_cvtsi128_si32(found) & 0xffff;
+    };
+    const int low = least(0x8000) - 0x8000;
+    above = 0x7fff - least(0x7fff) - low;
+    return first + low;
+}
 // The first n of eight; the others are as the first.
 INLINE Eights first_of(const int* v, int n) {
     constexpr Eights lane = {0, 1, 2, 3, 4, 5, 6, 7};
@@ -92,10 +104,8 @@ struct Windows {
     INLINE Windows(const int* xs, const int* ys, int n) {
         across = first_of(xs, n);
         lower = first_of(ys, n);
-        x = least_of(across);
-        y = least_of(lower);
-        wide = most_of(across) - x;
-        low = most_of(lower) - y;
+        x = least_of(across, wide);
+        y = least_of(lower, low);
         across -= x;
         lower -= y;
     }
@@ -143,6 +153,7 @@ INLINE void sum_frames(const Frames<T>& f, const Windows& at, int before, Weight
     }
     ptrdiff_t place = (at.y - before) * f.row + (at.x - before) * C;
     auto one = [&](const T* frame, Eight* v) INLINE_LAMBDA {
+        __builtin_prefetch(frame + place + 4 * f.row);  // rows are too short for the processor to see them coming
         if (C > 1 || at.wide >= BLOCK)
             sum_windows<true, C>(frame + place, f.row, at, w, v);
         else

@@ -293,8 +293,8 @@ struct Mixing {
         if (pairs) {
             const Eights at = first_of(row.whole[2] + k, n) - span.first;
             Eight part = load<float, BLOCK>(row.part[2] + k);
-            times.first = least_of(at);
-            times.count = most_of(at) - times.first + (whole ? 1 : 2);
+            times.first = least_of(at, times.count);
+            times.count += whole ? 1 : 2;
             if (times.count > Times::MOST) return false;
             for (int i = 0; i < times.count; i++)
                 times.weight[i] = at == times.first + i ? 1 - part : at == times.first + i - 1 ? part : Eight{};
@@ -315,7 +315,7 @@ struct Mixing {
         const Doubles base = __builtin_convertvector(whole, Doubles);
         const Doubles f = (base + __builtin_convertvector(part, Doubles)) - base;
         const Eights still = Eights(__builtin_convertvector(f, Eight) == 0), lower = still ? whole : whole - 1;
-        times.first = least_of(lower) - span.first;
+        times.first = least_of(lower, times.count) - span.first;
         times.count = most_of(still ? whole + 1 : whole + 3) - span.first - times.first;
         if (times.count > Times::MOST || times.first < 0 || times.first + times.count > span.last - span.first + 1)
             return false;
@@ -500,7 +500,10 @@ void sample_direct(const Plan<D>& plan, const Job& job, const Sampler<float, D>&
                 sample.put(s.numbers, at, n, job.target(x, y));
             else {
                 s.prints.find(row, job.filter);
-                sample(row, s.prints, s.weight, at, n, job.target(x, y), nullptr);
+                int from = at, end = at + n;  // of those that are not copied
+                while (row.some_same && from < end && row.same[from]) from++;
+                while (row.some_same && from < end && row.same[end - 1]) end--;
+                sample(row, s.prints, s.weight, from, end - from, job.target(x + from - at, y), nullptr);
             }
             if (row.some_same) copy_same(job, own, x, y, n, row.same + at);
         });
@@ -560,6 +563,7 @@ void sample_converted(const Plan<D>& plan, const Job& job) {
                 const Reader<N, N, 4, D> four(job, span, held, pyramid);
                 const Sampler<N, D>& sample = numbers.lanes == 1 ? (const Sampler<N, D>&)one : four;
                 plan.each_row(job.grid, j, wanted, slopes_of(job), [&](const Row<D>& row, int x, int y, int n, int at) {
+                    if (row.idle) return copy_same(job, own_frame(plan, job), x, y, n, nullptr);
                     if (!follow(job, sample, row, s, at, n)) {
                         s.prints.find(row, job.filter);
                         sample(row, s.prints, s.weight, at, n, nullptr, s.numbers);

@@ -19,8 +19,8 @@ from supple.engine.memory import machine_memory
 from supple.engine.progress import counted
 from supple.errors import SuppleError, listing, shown
 from supple.files.recipes import is_media_name
-from supple.media.image.formats import SUFFIXES as PICTURES
 from supple.media.medium import ONE_FILE
+from supple.media.pictures import SUFFIXES as PICTURES
 from supple.media.suffixes import CLIPS, suffix_of
 
 Job = tuple[Path, Path]
@@ -175,7 +175,7 @@ def _suffix_like(source: Path) -> str:
     if source.suffix:
         return suffix_of(source)
     from supple.media.image import info
-    from supple.media.image.formats import OUT
+    from supple.media.pictures import OUT
 
     found = info(source)["format"]
     if suffix := next((suffix for suffix, form in OUT.items() if form.name == found), ""):

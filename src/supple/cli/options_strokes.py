@@ -436,7 +436,6 @@ class StrokeOptions:
         how: dict[str, Any],
     ) -> "list[_Given]":
         """Return the strokes of the command line, in order, with their mirror images; ``how`` is for `read_pull`."""
-        from supple.files.freezing import read_matte
         from supple.strokes import REACH
 
         found = [one for one in found if one[0] in BRUSHES]
@@ -450,6 +449,8 @@ class StrokeOptions:
 
         @cache
         def matte(option: str, path: str) -> "Freeze | None":
+            from supple.files.freezing import read_matte
+
             return None if path == "none" else read_matte(path, width=self.freeze_width)
 
         def radius(option: str, text: str) -> float:

@@ -317,7 +317,8 @@ def points(
     """Move landmarks, a mesh or contours by a deformation: as what they mark moves, from the input to the output.
 
     With fields and affine maps, these are those of supple warp, in the same order: what a resampling program applies to
-    points of the output is --inverse here, from the output back to the input.
+    points of the output is --inverse here, before all of them, from the output back to the input. After one of them,
+    --inverse is of that map alone, and points go from the input to the output.
 
     Parameters
     ----------

@@ -293,8 +293,8 @@ def _shared(recipe: "Recipe", kept: "Collection[Recipe]") -> "Recipe":
 
 def _as_clip(paths: tuple[str, ...], recipe: "Recipe") -> tuple[str, ...]:
     """Return ``f.*.exr`` as the pattern of a clip, if it is to become one; refuse pictures for strokes with a time."""
-    from supple.media.image.formats import SUFFIXES
     from supple.media.numbering import has_number, of_star
+    from supple.media.pictures import SUFFIXES
     from supple.media.suffixes import ANIMATED, CLIPS_OUT
 
     source, target = paths[0], paths[-1]

@@ -29,10 +29,10 @@ from supple.folding.resolved import warn_of_still
 from supple.media.base import Clip, ClipWarning, CountError
 from supple.media.files import check_output, replacing
 from supple.media.image import check_options, check_target
-from supple.media.image.formats import SUFFIXES as SUFFIXES_IN
-from supple.media.image.formats import SUFFIXES_OUT as PICTURES_OUT
 from supple.media.medium import VIDEOS_OUT, is_animated
 from supple.media.numbering import has_number, is_sequence
+from supple.media.pictures import SUFFIXES as SUFFIXES_IN
+from supple.media.pictures import SUFFIXES_OUT as PICTURES_OUT
 from supple.media.suffixes import ANIMATED, is_animation, suffix_of
 from supple.media.timecode import Numbering
 from supple.space.checks import LONGEST_AXIS, integer, items, length, number, refuse

@@ -11,8 +11,8 @@ from supple.errors import SuppleError, VolumeWarning, shown
 from supple.fields import Placed, check_path
 from supple.files.options import GridOptions, PathLike
 from supple.media.files import is_store
-from supple.media.image.formats import SUFFIXES
 from supple.media.medium import picture_grid
+from supple.media.pictures import SUFFIXES
 from supple.media.suffixes import CLIPS, is_volume, suffix_of
 from supple.space.checks import refuse
 from supple.space.geometry import Geometry, Grid

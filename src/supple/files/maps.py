@@ -160,7 +160,7 @@ def check_images(ndim: int | None = None, **paths: PathLike | None) -> None:
     The message has the argument's name.
     """
     from supple.media import image
-    from supple.media.image.formats import SUFFIXES_OUT
+    from supple.media.pictures import SUFFIXES_OUT
 
     for name, path in paths.items():
         try:

@@ -29,7 +29,7 @@ from supple.media.image import (
     with_opacity,
     write,
 )
-from supple.media.image.formats import OUT
+from supple.media.pictures import OUT
 from supple.space.geometry import Grid
 from supple.strokes import fit_recipe
 

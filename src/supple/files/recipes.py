@@ -10,7 +10,7 @@ from typing import Any
 from supple.errors import JSON, SuppleError, shown, spelling
 from supple.files.options import PathLike
 from supple.media.files import check_output, head_of, is_store, replacing, unreadable
-from supple.media.image.formats import SUFFIXES as PICTURES
+from supple.media.pictures import SUFFIXES as PICTURES
 from supple.media.suffixes import CLIPS, CLIPS_OUT, VOLUMES, VOLUMES_OUT, suffix_of
 from supple.media.timecode import PATTERN
 from supple.strokes import Recipe

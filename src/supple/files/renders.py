@@ -22,7 +22,7 @@ from supple.files.grids import grid_on
 from supple.files.meshes import MeshFile, read_surfaces
 from supple.files.options import GridOptions, VolumeOptions
 from supple.files.volumes import background_of, deformation_of, is_of_labels, open_volume
-from supple.media import image, turntable
+from supple.media import image, pictures, turntable
 from supple.media.files import PathLike, check_output, check_outputs, check_suffix, replacing, replacing_all
 from supple.media.numbering import has_number, spelling
 from supple.media.volume import Volume
@@ -457,7 +457,7 @@ def _check_target(target: PathLike, suffix: str, known: RenderOptions, force: bo
     if not many and has_number(target):
         text = f"{name} names many pictures: give {argument('turntable')} with their number, or a name without one"
         raise SuppleError(text)
-    if not many and turntable.is_one(target) and suffix not in image.formats.OUT:
+    if not many and turntable.is_one(target) and suffix not in pictures.OUT:
         raise SuppleError(f"{name} is a video: give {argument('turntable')} with the number of its pictures")
     if known.what == "inversions":
         from supple.plot.frame import check_plot

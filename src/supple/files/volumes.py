@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import json
 import os
 import shutil
 import warnings
-from collections.abc import Callable, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -35,7 +36,22 @@ from supple.strokes import CoordinateSpace, Fit, Recipe, Stroke, fit_recipe
 # The test for label maps: the number of slices, and the fraction of equal neighbours beside the background.
 _LOOKED_AT, _AREAS, _MOST_LABELS, _FEW = 16, 0.7, 1024, 8
 _BETWEEN = 0.2  # of the changes from voxel to voxel: so many values between two others are none of labels
+_SLAB = 16  # slices that are computed and written together
 _HUGE, _TINY = 2, 1  # radii, in the size of a volume and in the distance of its samples, that are in another unit
+
+
+@dataclass(frozen=True, slots=True)
+class Flowing:
+    """Samples that are computed while they are written: memory that is touched for the first time takes time."""
+
+    shape: tuple[int, ...]
+    dtype: np.dtype[Any]
+    slabs: Iterator[Array]
+    ndim: int = 3
+
+    def __iter__(self) -> Iterator[Any]:
+        """Yield the slices."""
+        return itertools.chain.from_iterable(self.slabs)
 
 
 def open_volume(source: PathLike, options: VolumeOptions | None = None) -> Volume:
@@ -378,8 +394,34 @@ def _written(volume: Volume, like: Volume, job: Job, space: Space, sampling: Sam
         tell("write", 0, 1)
         with replacing(target, force=force) as place:
             shutil.copyfile(source, place)
+        return certificate
+    dtype = series.dtype.newbyteorder("=")
+
+    def settle() -> None:  # before the target is renamed
+        warn_of(certificate, sampling.tolerance, 6, folds_of(job.maps), only_name(job.maps), "voxels")
+        tell("write", 0, 1)
+
+    def slabs() -> Iterator[Array]:
+        nonlocal certificate
+        buffer, whole, depth = (
+            np.empty((_SLAB, *like.samples.shape[1:]), dtype),
+            space.grid or volume.grid,
+            space.out[0],
+        )
+        for z in range(0, depth, _SLAB):
+            out = buffer[: depth - z]
+            part = replace(space, grid=whole.crop((0, 0, z), (*whole.sizes[:2], len(out))))
+            _, known = warp_array(series[0], part, sampling, alpha=False, out=out)
+            certificate |= known
+            tell("warp", z + len(out), depth)
+            yield out
+        settle()
+
+    plain = like.samples.ndim == 3 and dtype.kind in "iu" and sampling.filter in ("linear", "nearest")
+    if plain and suffix_of(target).startswith(".nii") and job.device == "cpu" and not space.is_identity:
+        flow: Any = Flowing(like.samples.shape, dtype, slabs())
+        write(target, flow, like, force=force)
     else:
-        dtype = series.dtype.newbyteorder("=")
         shape = like.samples.shape if volume.series else (1, *like.samples.shape)
         with beside(target, shape, dtype, machine_memory() / 4) as out:
             for t in range(count):
@@ -393,9 +435,7 @@ def _written(volume: Volume, like: Volume, job: Job, space: Space, sampling: Sam
                 certificate |= known
             if job.clamp is not False and not space.is_identity:
                 clamp_to(series, out, sampling)
-            # before the target is renamed
-            warn_of(certificate, sampling.tolerance, 4, folds_of(job.maps), only_name(job.maps), "voxels")
-            tell("write", 0, 1)
+            settle()
             write(target, out if volume.series else out[0], like, force=force)
     return certificate
 

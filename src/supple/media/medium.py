@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Literal
 
 from supple.errors import shown
 from supple.media.files import PathLike
-from supple.media.image.formats import SUFFIXES as PICTURES
 from supple.media.numbering import has_number
+from supple.media.pictures import SUFFIXES as PICTURES
 from supple.media.suffixes import CLIPS, CLIPS_OUT, VOLUMES_OUT, is_animation, is_volume, suffix_of
 from supple.space.geometry import Grid
 

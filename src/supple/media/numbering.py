@@ -9,7 +9,7 @@ from pathlib import Path
 
 from supple.errors import SuppleError, shown
 from supple.media.files import PathLike
-from supple.media.image.formats import SUFFIXES
+from supple.media.pictures import SUFFIXES
 
 _NUMBER = re.compile("%(?:0[1-9][0-9]?)?d")
 _SIGNS = re.compile(r"#{2,}|@{2,}|(?<=[._-])#(?=\.)|\$F[1-9]?(?=\.)")

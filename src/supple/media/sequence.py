@@ -24,10 +24,11 @@ from supple.media import image as pictures
 from supple.media.base import Clip, ClipWarning, LazyFrame
 from supple.media.files import PathLike, check_outputs, first_bytes, replacing_all
 from supple.media.image import ImageWarning, MetadataWarning, PageWarning, Picture, exr
-from supple.media.image.formats import DTYPES, SUFFIXES_OUT, divided, is_exr
+from supple.media.image.formats import DTYPES, divided, is_exr
 from supple.media.image.headers import collected, extra_of, facts
 from supple.media.image.vips import apart, decoded, opened, reading, sequential, widen
 from supple.media.numbering import first_number, has_number, matching, numbered, percent, pictures_in, spelling
+from supple.media.pictures import SUFFIXES_OUT
 
 _WHITE = {"uint8": 255.0, "uint16": 65535.0, "float32": 1.0}
 

@@ -29,6 +29,7 @@ DARK = 0.06  # of white, and twice that: a maximum is transparent up to one, and
 FINE = 2  # voxels of a brick of visible voxels, if a lattice displaces them into bricks of `_core.BRICK` voxels
 AIR, SKIN = -1000.0, -450.0  # Hounsfield units
 _THIN = 6.0  # mm: half of the thickness from which a part is no table
+COARSE = 2.0  # of the finest spacing: slices farther apart are smoothed
 _LOOKED_AT = 1 << 20  # voxels for a quantile
 MOST = 1e18  # of samples: float32 holds the squares of their gradients
 _TYPES = (np.uint8, np.int8, np.uint16, np.int16, np.float32)
@@ -172,7 +173,12 @@ def transfer_function(given: Transfer | str) -> Transfer:
 
 
 def sampled(
-    given: Array, transfer: Transfer, density: tuple[float, float] | None, step: float, projection: str = "none"
+    given: Array,
+    transfer: Transfer,
+    density: tuple[float, float] | None,
+    step: float,
+    projection: str = "none",
+    spacing: Sequence[float] = (1.0, 1.0, 1.0),
 ) -> tuple[Array, Array | None, Seen]:
     """Return the samples of a volume for rays, which are values or labels; their colours, if any; and how they look."""
     colours = None
@@ -194,8 +200,26 @@ def sampled(
         colours = widened(colours)
     ready = prepared(given)
     values = float(ready.min()), float(ready.max())
+    if projection == "none" and colours is None and not is_hounsfield(*values):
+        ready = evened(ready, spacing)
     known = levelled(transfer, ready, values)
     return ready, colours, seen_through(known, density, values, step, projection)
+
+
+def evened(samples: Array, spacing: Sequence[float]) -> Array:
+    """Return samples smoothed by a cubic B-spline across slices that are far apart; others as they are.
+
+    An edge within a slice is sharper than slices are close: linear samples between two of them would be terraces.
+    """
+    for axis, step in enumerate(reversed(spacing)):
+        if step > COARSE * min(spacing):
+            slices, made = np.moveaxis(samples, axis, 0), np.empty_like(samples)
+            for k, into in enumerate(np.moveaxis(made, axis, 0)):
+                near = slices[max(k - 1, 0)], slices[k], slices[min(k + 1, len(slices) - 1)]
+                mean = np.tensordot(np.array([1, 4, 1], np.float32), np.asarray(near, np.float32), 1) / 6
+                into[...] = np.rint(mean) if samples.dtype.kind in "iu" else mean
+            samples = made
+    return samples
 
 
 def window_of(density: tuple[float, float] | None, *, one: bool = False) -> tuple[float, float]:

@@ -192,7 +192,8 @@ class Scene:
         return f"<Scene of {self.shape} {self.samples.dtype}, {strokes} strokes, mode {self.mode}, by {who}>"
 
     def _sample(self, transfer: Transfer, density: tuple[float, float] | None) -> None:
-        self._original, self._paint, seen = sampled(self._given, transfer, density, self.step, self.projection)
+        rest = self.step, self.projection, self.geometry.spacing
+        self._original, self._paint, seen = sampled(self._given, transfer, density, *rest)
         self._ranges: dict[int, tuple[Array, Array]] = {}
         self._thin: dict[int, tuple[Array, Array | None]] = {}  # every k-th voxel, and its colours
         self._still: tuple[Seen | None, npt.NDArray[np.uint8]] = None, np.empty(0, np.uint8)  # skips of the original

@@ -14,7 +14,7 @@ import pyvips
 
 from supple.errors import SuppleError
 from supple.media.image import ImageWarning, check_target, info, read, write
-from supple.media.image.formats import SUFFIXES_OUT
+from supple.media.pictures import SUFFIXES_OUT
 from tests.children import SOURCE
 from tests.media.image.pictures import FORMATS, SAVERS, noise, refused, smooth
 

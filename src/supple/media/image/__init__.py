@@ -17,6 +17,7 @@ import pyvips
 
 from supple._core import threads
 from supple.errors import GapWarning, LayerWarning, SuppleError, argument, caller, shown
+from supple.media import pictures
 from supple.media.files import PathLike, check_suffix, replacing, unwritable
 from supple.media.image import dpx, exif, formats
 from supple.media.image.headers import NO_EXIF, collected, dressed, extra_of, facts, finish, profile_name
@@ -159,21 +160,21 @@ class Picture:
 
 
 def check_target(path: PathLike) -> None:
-    """Raise SuppleError for a name whose suffix is not in `supple.media.image.formats.SUFFIXES_OUT`."""
+    """Raise SuppleError for a name whose suffix is not in `supple.media.image.pictures.SUFFIXES_OUT`."""
     suffix = Path(path).suffix
-    check_suffix(path, suffix, formats.OUT, "is no image format", f"use {', '.join(formats.OUT)}")
+    check_suffix(path, suffix, pictures.OUT, "is no image format", f"use {', '.join(pictures.OUT)}")
 
 
 def check_options(
     path: PathLike, *, quality: int | None = None, lossless: bool = False, compression: str | None = None
 ) -> None:
     """Raise SuppleError for options of `write` that the format of a name does not have."""
-    name, form = shown(path), formats.OUT.get(Path(path).suffix.lower())
+    name, form = shown(path), pictures.OUT.get(Path(path).suffix.lower())
     if quality is not None and not 1 <= quality <= 100:
         raise SuppleError(f"cannot write {name} with quality {quality}: quality goes from 1 to 100")
-    if lossless and form is formats.JPEG:
+    if lossless and form is pictures.JPEG:
         raise SuppleError(f"cannot write {name} without loss: JPEG always loses: write PNG, TIFF, WebP or AVIF")
-    known = formats.COMPRESSIONS.get(form.name, ()) if form is not None else ()
+    known = pictures.COMPRESSIONS.get(form.name, ()) if form is not None else ()
     if compression is not None and form is not None and compression not in known:
         names = f"choose from {', '.join(known)}" if known else "leave it out"
         raise unwritable(path, f"{argument('compression')} {compression} is none of {form.name}", names)
@@ -232,7 +233,7 @@ def read(path: PathLike, *, pages: bool = False, whole: bool = False) -> Picture
 
 def with_opacity(picture: Picture, target: PathLike) -> Picture:
     """Return a picture with full opacity, if it has none and the format of the target can hold it; else as it is."""
-    form, pixels = formats.OUT[Path(target).suffix.lower()], np.atleast_3d(picture.pixels)
+    form, pixels = pictures.OUT[Path(target).suffix.lower()], np.atleast_3d(picture.pixels)
     held, count = form.pixel_formats.get(pixels.dtype.str[1:], (2, 4)), pixels.shape[2]
     is_opaque = count == formats.COLOURS.get(picture.interpretation, 3) and not picture.layers
     if not (form.alpha and is_opaque and count + 1 in held):
@@ -253,7 +254,7 @@ def of_layers(held: exr.Exr) -> Picture:
     pixels, image = held.arrays[0], of_exr(held)
     flat = pixels[..., 0] if pixels.shape[2] == 1 else pixels
     return Picture(
-        flat, False, None, held.bits, formats.EXR.name, image.interpretation, 1, {"exr": held}, extra_of(image)
+        flat, False, None, held.bits, pictures.EXR.name, image.interpretation, 1, {"exr": held}, extra_of(image)
     )
 
 
@@ -352,7 +353,7 @@ def write(
     Parameters
     ----------
     path : str or os.PathLike
-        One of `supple.media.image.formats.SUFFIXES_OUT`.
+        One of `supple.media.image.pictures.SUFFIXES_OUT`.
     pixels : ndarray or Picture
         Shape (H, W) or (H, W, C): uint8, uint16, and for TIFF also floats and integers up to 32 bits. Contiguous arrays
         are not copied. A picture is its own ``like``, unless another is given.
@@ -366,7 +367,7 @@ def write(
     lossless : bool
         Whether to write without loss; PNG and TIFF always do, JPEG cannot. WebP does if `like` is one without loss.
     compression : str, optional
-        One of `supple.media.image.formats.COMPRESSIONS`: of TIFF and PNG a method or a level of deflate from 0 to 9;
+        One of `supple.media.image.pictures.COMPRESSIONS`: of TIFF and PNG a method or a level of deflate from 0 to 9;
         ``"fast"`` is the fastest. By default as in `like` for TIFF, or deflate.
     force : bool
         Whether to replace an existing file.
@@ -389,7 +390,7 @@ def write(
     check_options(path, quality=quality, lossless=lossless, compression=compression)
     if isinstance(pixels, Picture):
         like, pixels = like or pixels, pixels.pixels
-    name, form = shown(path), formats.OUT[Path(path).suffix.lower()]
+    name, form = shown(path), pictures.OUT[Path(path).suffix.lower()]
     array = np.ascontiguousarray(pixels, np.asarray(pixels).dtype.newbyteorder("="))
     channels, depth = array.shape[2] if array.ndim == 3 else 1, array.dtype.itemsize * 8
     like = like or Picture(array[:0], channels in (2, 4), bits=depth)
@@ -397,7 +398,7 @@ def write(
     extra: tuple[int, ...] = (2,) if (channels in (2, 4) if alpha is None else alpha) else ()
     if alpha is None and same:
         extra = like.meanings
-        if extra == (1,) and form not in (formats.TIFF, formats.EXR):
+        if extra == (1,) and form not in (pictures.TIFF, pictures.EXR):
             array, extra = formats.divided(array), (2,)
     header, icc, alpha = dict(like._header), like.icc, 2 in extra
     layers: exr.Exr | None = header.pop("exr", None)
@@ -407,9 +408,9 @@ def write(
     moved = tiff.has_place and len(like.pixels) > 0 and like.pixels.shape[:2] != array.shape[:2]
     tiff = tiff.without_place() if moved else tiff
     known = like.interpretation if same else ""
-    meaning = formats.meant(array.dtype, channels - (len(extra) if form is formats.TIFF else alpha), known)
+    meaning = formats.meant(array.dtype, channels - (len(extra) if form is pictures.TIFF else alpha), known)
     lost = ["the georeference of another grid"] * moved
-    if form is formats.TIFF:
+    if form is pictures.TIFF:
         if not extra and meaning == "multiband" and not tiff.is_inks:
             extra = (0,) * (channels - (3 if channels > 3 else 1))
         alike = same and like.pixels.dtype == array.dtype
@@ -421,8 +422,8 @@ def write(
         lost += ["the georeference"] * tiff.has_place + ["the mark of samples without data"] * (tiff.nodata is not None)
     formats.check(path, form, array, meaning, extra)
     have = like.bits if like.pixels.dtype == array.dtype else depth
-    bits = 10 if form is formats.AVIF and 8 < have <= 10 else min(form.bits, depth)
-    film = form is formats.DPX and have in (10, 12) and channels == 3
+    bits = 10 if form is pictures.AVIF and 8 < have <= 10 else min(form.bits, depth)
+    film = form is pictures.DPX and have in (10, 12) and channels == 3
     bits = have if film else bits
     if bits < have:
         text = f"{name}: {form.name} holds {bits} bits a channel, and the {have} of the pixels are rounded"
@@ -431,9 +432,9 @@ def write(
         text = f"{name}: quality {quality} changes nothing in {form.name}: it is for JPEG, WebP and AVIF"
         warnings.warn(text, ImageWarning, stacklevel=2)
     image, sized = formats.wrapped(array, meaning, bits), False
-    if layers is not None and (unkept := layers.lost(exr=form is formats.EXR)):
+    if layers is not None and (unkept := layers.lost(exr=form is pictures.EXR)):
         lost.append(f"{' and '.join(unkept)} of an OpenEXR")
-    if head and form is not formats.DPX:
+    if head and form is not pictures.DPX:
         lost.append("the header of a DPX, with its transfer curve and timecode")
     if form.pixel_formats:
         lost += [what for key, what in _BESIDE.items() if key in header] + ["the colour profile"] * bool(icc)
@@ -443,7 +444,7 @@ def write(
     if lost:
         text = f"{name}: {form.name} cannot take over {' and '.join(lost)}"
         warnings.warn(text, MetadataWarning, stacklevel=2)
-    if form is formats.EXR:
+    if form is pictures.EXR:
         if alpha:  # EXR is premultiplied
             array = np.concatenate([array[..., :3] * array[..., 3:], array[..., 3:]], axis=2)
         from supple.media.image import exr
@@ -464,15 +465,15 @@ def write(
             kind = re.sub("be$", "le", kind)
         with replacing(path, force=force) as temporary, ffmpeg.writing(path):
             data = ffmpeg.encoded(array, form.saver, kind, form.options)
-            temporary.write_bytes(dpx.dressed(data, head, path) if form is formats.DPX else data)
+            temporary.write_bytes(dpx.dressed(data, head, path) if form is pictures.DPX else data)
         return
     options = formats.settings(form, array, bits, quality, lossless)
-    if not image.get_typeof("exif-data") and not (sized and form in (formats.WEBP, formats.AVIF)):
+    if not image.get_typeof("exif-data") and not (sized and form in (pictures.WEBP, pictures.AVIF)):
         options["keep"] = NO_EXIF  # which libvips would add; these two have no other place for a resolution
     if known_as == form.name:
         saved = saved if quality is None else {key: value for key, value in saved.items() if key == "interlace"}
         options |= saved
-    if form is formats.TIFF:
+    if form is pictures.TIFF:
         options |= tiff.settings(lossless, array.dtype.itemsize)
         if like.pages > 1:
             options["page_height"] = len(array) // like.pages
@@ -481,7 +482,7 @@ def write(
         warnings.warn(text, ImageWarning, stacklevel=2)
     options |= formats.compressed(form, array, compression, bool(options.get("lossless")))
     with replacing(path, force=force) as temporary, writing(path):
-        if form is not formats.TIFF:
+        if form is not pictures.TIFF:
             apart(lambda: getattr(image, form.saver)(os.fsencode(temporary), **options), image)
             finish(temporary, image, form, sized)
             return

@@ -21,7 +21,8 @@ import numpy as np
 
 from supple.errors import listing, need
 from supple.media.files import PathLike, head_of, unreadable, unwritable
-from supple.media.image.formats import EXR_MAGIC, Array, Box, bounds, damaged
+from supple.media.image.formats import Array, Box, bounds, damaged
+from supple.media.pictures import EXR_MAGIC
 
 _COLOURS = {"r": "r", "red": "r", "g": "g", "green": "g", "b": "b", "blue": "b", "a": "a", "alpha": "a", "y": "y"}
 _MAIN = ("", "rgba", "rgb", "combined", "beauty")  # the layers that hold the picture itself, best first

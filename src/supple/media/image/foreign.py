@@ -12,7 +12,8 @@ import pyvips
 from supple.errors import need
 from supple.media.files import PathLike, refusing, unreadable
 from supple.media.image import exif
-from supple.media.image.formats import RAW, Array, of_pixels
+from supple.media.image.formats import Array, of_pixels
+from supple.media.pictures import RAW
 
 _GIVE = "give a whole copy of it, or convert it, to TIFF for instance"
 _PSD = {"GRAYSCALE": "", "RGB": "", "CMYK": "cmyk", "DUOTONE": ""}

@@ -15,8 +15,9 @@ import pyvips
 
 from supple.media.files import PathLike
 from supple.media.image import exif
-from supple.media.image.formats import COLOURS, DTYPES, JPEG, PNG, TIFF, Format
+from supple.media.image.formats import COLOURS, DTYPES
 from supple.media.image.tiff import Page
+from supple.media.pictures import JPEG, PNG, TIFF, Format
 
 _ICC_COLOURS = {b"GRAY": 1, b"RGB ": 3, b"Lab ": 3, b"CMYK": 4}
 _KEPT = ("dpx", "icc-profile-data", "exif-data", "xmp-data", "iptc-data", "image-description", "png-comment-")

@@ -16,9 +16,10 @@ import pyvips
 from supple.errors import SuppleError
 from supple.media.files import PathLike, head_of, refusing, unreadable, unwritable
 from supple.media.image import dpx, foreign
-from supple.media.image.formats import DTYPES, EXR_MAGIC, LOADERS, Array, codec_of, damaged, of_pixels
+from supple.media.image.formats import DTYPES, LOADERS, Array, codec_of, damaged, of_pixels
 from supple.media.image.headers import EXTRA, facts, png_frames
 from supple.media.image.tiff import Page
+from supple.media.pictures import EXR_MAGIC
 
 if TYPE_CHECKING:
     from supple.media.image import exr

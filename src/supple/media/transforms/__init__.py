@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 from supple.errors import SuppleError, argument, said, shown
 from supple.media.files import PathLike, head_of, refusing, unreadable, unwritable
-from supple.media.image.formats import SUFFIXES as PICTURES
+from supple.media.pictures import SUFFIXES as PICTURES
 from supple.media.suffixes import CLIPS
 from supple.media.transforms import affines, base, fields, itk, ngff, pictures
 from supple.media.transforms.base import Content, Displacements, MissingGridError

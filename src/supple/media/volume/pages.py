@@ -226,7 +226,8 @@ def _spacing(image: Any, numbers: dict[str, float]) -> tuple[float, float, float
 
 def check(path: PathLike, like: Volume, dtype: np.dtype[Any]) -> None:
     """Raise SuppleError for a volume that the format cannot hold."""
-    from supple.media.image.formats import DTYPES, TIFF
+    from supple.media.image.formats import DTYPES
+    from supple.media.pictures import TIFF
 
     if like.geometry.shear:
         what = f"a TIFF holds a spacing alone, and the axes of {like.name} are not at right angles to each other"
@@ -249,8 +250,9 @@ def write(path: PathLike, samples: Array, like: Volume, *, force: bool = False) 
     """
     import pyvips
 
-    from supple.media.image.formats import TIFF, meant, settings, wrapped
+    from supple.media.image.formats import meant, settings, wrapped
     from supple.media.image.vips import apart, writing
+    from supple.media.pictures import TIFF
 
     array = native(samples if like.series else samples[None])
     if array.ndim == 5 and not _are_colours(like, array.dtype):

@@ -28,8 +28,8 @@ from supple.files.registrations import write_map
 from supple.files.tracking import track
 from supple.media.files import check_output, locked, replacing, same_file
 from supple.media.image import check_target
-from supple.media.image.formats import COMPRESSIONS, OUT
 from supple.media.medium import VIDEOS_OUT, opened
+from supple.media.pictures import COMPRESSIONS, OUT
 from supple.media.suffixes import ANIMATED
 from supple.media.volume import SUFFIXES_OUT as VOLUMES_OUT
 from supple.media.volume import suffix_of
