@@ -72,7 +72,7 @@ __all__ = [
     "warp_file",
 ]
 
-# The module of each name. Modules are loaded on first use, as image libraries and engines take time.
+# The module that defines each public name. Modules are imported on first use, as image libraries load slowly.
 _HOMES = {
     "Affine": "space.affine",
     "Arrival": "deformation",

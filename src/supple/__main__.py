@@ -6,10 +6,10 @@ from typing import NoReturn
 
 
 def main() -> NoReturn:
-    """Carry out the process's own command line, and end."""
-    # Nearly all objects of a short command live to its end: looking for others takes 5 % of its time.
+    """Run the command line of this process, and exit."""
+    # Most objects of a short command live until it exits: frequent garbage collection takes 5 % of its time.
     gc.set_threshold(200_000, 20, 20)
-    # No product here is large, and OpenBLAS's other threads spin for a tenth of a second before they sleep.
+    # Matrix products here are small, and OpenBLAS's other threads spin for a tenth of a second before they sleep.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     from supple import cli
 

@@ -21,13 +21,13 @@ from supple.space.checks import refuse
 
 # CUDA is imported only where it is used, to keep `import supple` fast.
 
-_WEIGHTLESS = 1e-6  # a weight that rounding leaves
+_WEIGHTLESS = 1e-6  # weights up to this are rounding errors
 _SLAB = 1 << 20  # bytes of a slab whose range is computed or clamped
 _HOLDERS = ("GetSpacing", "dataobj", "pixel_array", "rescaled")  # attributes of objects that hold an array
 
 
 def check_device(device: object, what: str = "") -> None:
-    """Raise SuppleError for a device that does not warp, and for ``"cuda"`` where it cannot be used.
+    """Raise SuppleError for an unknown device, and for ``"cuda"`` where it cannot be used.
 
     ``what`` names a kind of work that CUDA devices do not support.
 
@@ -57,7 +57,7 @@ def warp_array(
     out: Any = None,
     tell: Tell = silent,
 ) -> tuple[Any, Certificate]:
-    """Return an image or frames, warped, and the certificate of the map.
+    """Return the warped image or frames, and the certificate of the map.
 
     Neither the source nor ``out`` need be in memory; a source on a CUDA device stays there. Several images may share
     one map: (N, H, W[, C]), if ``space.count`` is their number. The other arguments are those of
@@ -72,7 +72,7 @@ def warp_array(
     work = work_of(held.shape, held.dtype, space, sampling, alpha, finite=False)
     fills = np.asarray(work.sampling.fill)
     constant = sampling.outside == "constant"
-    if endless := not np.isfinite(fills).all():  # averages take the edge's values, and what is beyond is filled later
+    if endless := not np.isfinite(fills).all():  # averages use the edge; the fill value is stored at the end
         sampling = replace(sampling, outside="edge" if constant else sampling.outside, fill=0.0)
         work = work_of(held.shape, held.dtype, space, sampling, alpha)
     if device != "cpu":
@@ -111,7 +111,7 @@ def warp_array(
     if gaps:
         alpha = work.layout.groups[0].alpha
         _mark(held, result, lambda marks: weights(marks, sampling.outside), alpha)
-        if alpha and space.grid is None:  # what nothing moves keeps its colours, whatever its opacity
+        if alpha and space.grid is None:  # unchanged pixels keep their colours, even if transparent
             still = _still(space)
             result[still] = held[still]
     if endless and constant:
@@ -121,7 +121,7 @@ def warp_array(
 
 
 def _converted(work: Work, frames: Array, planes: Array, tell: Tell) -> Certificate:
-    """Sample frames that the core cannot take as they are, a few at a time."""
+    """Convert frames to a type that the core supports, and sample them a few at a time."""
     kind = core.working_dtype(work.layout.dtype)
     work = replace(work, layout=replace(work.layout, dtype=kind))
     if not work.space.is_plain:  # a composite map may need any frame at any time
@@ -157,14 +157,14 @@ def _has_gaps(array: Array) -> bool:
 
 
 def _still(space: Space) -> npt.NDArray[np.bool_]:
-    """Return the mask of the samples whose source point is their own: copies."""
+    """Return the mask of the samples at which the map is the identity: these are copies."""
     points, _ = core.inverse_map(space, 0.01)
     own = np.moveaxis(np.indices(points.shape[:-1], np.float32)[::-1], 0, -1)
     return np.broadcast_to((points == own).all(-1), space.out)
 
 
 def _mark(source: Array, result: Array, weights: Callable[[Array], Array], alpha: bool) -> None:
-    """Store NaN and infinities where those of the source have a weight, whatever its sign."""
+    """Store NaN and infinities wherever those of the source have a weight other than 0."""
 
     def touched(marks: Array) -> Array:
         marks = marks | marks[..., -1:] if alpha else marks
@@ -173,17 +173,17 @@ def _mark(source: Array, result: Array, weights: Callable[[Array], Array], alpha
     high, low = touched(source == np.inf), touched(source == -np.inf)
     result[high], result[low] = np.inf, -np.inf
     result[touched(np.isnan(source)) | (high & low)] = np.nan
-    if result.shape == source.shape:  # what nothing moves keeps every bit, and NaNs have many
+    if result.shape == source.shape:  # copies keep every bit: NaNs have many patterns
         np.copyto(result, source, where=np.isnan(result) & np.isnan(source))
 
 
 def warp_picture(
     picture: Any, space: Space, sampling: Sampling, *, clamp: bool, device: str, regridded: bool, name: str = ""
 ) -> tuple[Any, Certificate]:
-    """Return a picture, all pages of which are sampled, each channel as what it is; and the certificate of the map.
+    """Return a warped picture, and the certificate of the map.
 
-    The space is of all pages. ``regridded`` says whether the grid of the output is another one; ``name`` is that of the
-    picture, for warnings.
+    All pages are sampled, and each channel by its own kind. ``space`` is the map of all pages; ``regridded`` says
+    whether the output has another grid; ``name`` is the picture's name in warnings.
     """
     found, count = Certificate(), picture.pixels.shape[2] if picture.pixels.ndim == 3 else 1
     if (dtype := picture.pixels.dtype).kind in "iu":
@@ -199,7 +199,7 @@ def warp_picture(
         found |= certificate
         if clamp and not space.is_identity:
             for before, after in zip(pixels, made, strict=True) if picture.pages > 1 else ((pixels, made),):
-                clamp_to(before, after, how)  # each page by itself
+                clamp_to(before, after, how)  # each page separately
         return np.asarray(made)
 
     averaged = not sampling.keeps_values and not space.is_identity
@@ -207,7 +207,7 @@ def warp_picture(
 
 
 def array_of(value: object, name: str) -> Array:
-    """Return a value as a NumPy array; SuppleError if it is not an array, with what to give."""
+    """Return a value as a NumPy array; SuppleError, which says what to pass, if it is not an array."""
     check_gradients(value, name)
     first = value[0] if isinstance(value, list | tuple) and value else value
     mode, held = getattr(first, "mode", None), ""
@@ -226,7 +226,7 @@ def array_of(value: object, name: str) -> Array:
 
 
 def checked_out(out: object, held: Array, shape: tuple[int, ...]) -> Array:
-    """Return a given array for a result of a shape and the source's dtype; SuppleError if it does not fit."""
+    """Return ``out`` if it has the result's shape and the dtype of ``held``, the source; SuppleError otherwise."""
     wanted = f"an array of {held.dtype} of shape {shape}, as the {'source' if shape == held.shape else 'grid'} is"
     if not isinstance(out, np.ndarray):
         refuse("out", wanted, out)
@@ -241,7 +241,7 @@ def checked_out(out: object, held: Array, shape: tuple[int, ...]) -> Array:
 
 
 def _file_of(array: Array) -> tuple[int, int] | None:
-    """Return the device and the number of the file that an array is mapped from."""
+    """Return the device and the inode of the file that an array is mapped from, or None."""
     root: Any = array
     while isinstance(root.base, np.ndarray):
         root = root.base
@@ -266,7 +266,7 @@ def _on_device(
 
     if clamp:
         refuse("clamp", "False for an array on a CUDA device: clip the result there", clamp)
-    if device != "cuda":  # the array says which GPU
+    if device != "cuda":  # the array determines the GPU
         check_device(device)
     return sample(source, spaces, sampling, alpha, out, batch=batch)
 
@@ -333,7 +333,7 @@ def warp_batch(
 def clamp_to(source: Array, result: Array, sampling: Sampling) -> None:
     """Clamp a result to the finite range of its source and the fill value around it, which cubic filters overshoot.
 
-    NaN are unchanged, and infinities of a source or a fill value that has some.
+    NaN stay, and so do infinities if the source or the fill value has any.
     """
     kind, cubic = result.dtype.kind, sampling.filter in ("auto", "cubic") or sampling.between_frames == "cubic"
     if kind not in "iuf" or not cubic:

@@ -1,4 +1,4 @@
-"""Blocks of an output: the part of the source that each reads, and their samples, equal bit for bit to the whole's."""
+"""Blocks of an output: the source part that each reads, and its samples, which equal those of the whole bit for bit."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ Chunks = Sequence[Sequence[int]]
 Read = tuple[Box, tuple[float, ...], Certificate]
 """The part of the source that a block reads, how far each of its planes moves, and the certificate of the map."""
 Reads = Callable[["Warp", Sequence[Box]], Sequence[Read]]
-"""It returns `Warp.all_reads`, perhaps computed on other machines."""
+"""A function that returns what `Warp.all_reads` does, for example computed on other machines."""
 
 _PACKING = threading.Lock()
 
@@ -34,9 +34,9 @@ _PACKING = threading.Lock()
 class Block:
     """A block of an output.
 
-    ``box`` is its place there, and ``part`` that of the source which it reads, for the filter and the boundary mode
-    too. ``copied`` says of each of its planes whether nothing in the whole plane moves by more than the tolerance,
-    ``identity`` whether no stroke reaches the block.
+    ``box`` is its place in the output, and ``part`` the part of the source that it reads, with the margin of the filter
+    and the boundary mode. ``copied`` has one flag for each of its planes: True if no displacement in the whole plane
+    exceeds the tolerance. ``identity`` says that no stroke reaches the block.
     """
 
     box: Box
@@ -61,12 +61,12 @@ class Warp:
     _packed: list[Space] = field(default_factory=list, init=False, repr=False, compare=False)
 
     def __reduce__(self) -> tuple[type[Warp], tuple[Any, ...]]:
-        """Leave out what is packed: the core's maps stay in their process."""
+        """Pickle without the packed map: the core's objects stay in their process."""
         return Warp, (self.deformation, self.sampling, self.grid, self.alpha)
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """The shape of the output, without axes that are carried along."""
+        """The shape of the output, without carried axes."""
         return self._grid.shape
 
     @property
@@ -86,7 +86,7 @@ class Warp:
         return part[3 - self.deformation.ndim :], tuple(moved), certificate
 
     def all_reads(self, boxes: Sequence[Box]) -> list[Read]:
-        """Return `reads` of each of some blocks."""
+        """Return `reads` of each block."""
         return [self.reads(box) for box in boxes]
 
     def space(self, box: Box) -> Space:
@@ -95,7 +95,7 @@ class Warp:
         return replace(self.packed(), grid=self._grid.crop(first.tolist(), (end - first).tolist()))
 
     def packed(self) -> Space:
-        """Return the packed map, which all blocks share: to prepare a large cubic field takes long."""
+        """Return the packed map. All blocks share it, as preparing a large cubic field takes long."""
         with _PACKING:
             if not self._packed:
                 self._packed.append(self.deformation.space_on(self._grid))
@@ -114,13 +114,13 @@ class Warp:
         still = np.full(self.shape[0] if deep else 1, plain)
         layers = [slice(*box[0]) if deep else slice(1) for box in boxes]
         for planes, (_, moved, known) in zip(layers, found, strict=True):
-            # As of whole planes in memory: a plane of a stack is copied if none of it moves by more than the tolerance.
-            # An image is a copy if no stroke reaches it.
+            # As for whole planes in memory: a plane of a stack is copied if no displacement in it exceeds the
+            # tolerance, an image if no stroke reaches it.
             far = np.array(moved)
             still[planes] &= far * math.sqrt(3) <= self.sampling.tolerance if deep else far < 0
             certificate |= known
         if deep and plain and self.grid is not None and self.grid.shape[1:] != self.grid.whole[1:]:
-            # Of the planes of which a part moves hardly, only those are copied of which the whole does not.
+            # On a part of the grid, whole planes decide: where the part hardly moves, its whole plane is measured.
             reached = np.zeros(len(still), np.bool_)
             for planes, (_, moved, _) in zip(layers, found, strict=True):
                 reached[planes] |= np.array(moved) >= 0
@@ -132,16 +132,16 @@ class Warp:
         for box, planes, (part, moved, _) in zip(boxes, layers, found, strict=True):
             copied = tuple(still[planes].tolist())
             identity = plain and (max(moved) < 0 or all(copied))
-            if identity:  # of a part of the grid, the same part of the source
+            if identity:  # it reads the same place of the source
                 corner = self._grid.first[::-1]
                 part = tuple((start + at, stop + at) for (start, stop), at in zip(box, corner, strict=True))
             blocks.append(Block(box, part, copied, identity))
         return blocks, certificate
 
     def block(self, part: Array, block: Block, carried: int = 1) -> Array:
-        """Return the samples of a block from `Block.part` of the source, perhaps with channels last.
+        """Return the samples of a block, computed from `Block.part` of the source, whose last axis may be channels.
 
-        Along the first ``carried`` axes, items are warped alike.
+        The items along the first ``carried`` axes share the map.
         """
         if block.identity:
             return part.copy()
@@ -152,7 +152,7 @@ class Warp:
         result = np.empty((len(part), *block.shape, *tail), kind)
         space = self.space(block.box)
         work = work_of((*space.whole, *tail), part.dtype, space, self.sampling, self.alpha)
-        # Items are the groups of one frame: their map is solved once.
+        # Items become groups of one frame, so that their map is solved once.
         fill = np.ravel(work.sampling.fill).tolist()
         work = replace(
             work,
@@ -170,12 +170,12 @@ class Warp:
 
 
 def chunks_of(task: Sequence[int], shape: Sequence[int]) -> list[tuple[int, ...]]:
-    """Return the sizes along each axis of tasks of a shape, of which the last may be smaller."""
+    """Return the sizes, along each axis of a shape, of tasks of a given size; the last of an axis may be smaller."""
     return [(n,) * (size // n) + ((size % n,) if size % n else ()) for n, size in zip(task, shape, strict=True)]
 
 
 def boxes_of(chunks: Chunks) -> Iterator[Box]:
-    """Yield the places of blocks, the last axis first."""
+    """Yield the box of each block; the last axis varies fastest."""
     ends = [list(itertools.accumulate(sizes)) for sizes in chunks]
     places = [[(end - size, end) for end, size in zip(e, s, strict=True)] for e, s in zip(ends, chunks, strict=True)]
     yield from itertools.product(*places)

@@ -27,7 +27,7 @@ from dask.highlevelgraph import HighLevelGraph  # noqa: E402
 __all__ = ["warp"]
 
 _DEFAULT = 1 << 26  # bytes of a block of an array without chunks
-_TOGETHER = 16  # blocks of which one task finds the parts
+_TOGETHER = 16  # blocks whose parts of the source one task determines
 
 
 def warp(
@@ -43,23 +43,23 @@ def warp(
 ) -> Any:
     """Warp an array lazily: block by block, on threads, processes or a cluster.
 
-    Of the source, each task reads the part that its block of the output needs, which is known exactly from the map's
-    certificate. Where strokes have a reach, blocks beyond it are copies.
+    Each task reads only the part of the source that its block of the output needs, which the map's certificate gives
+    exactly. Where strokes have a reach, blocks beyond it are copies.
 
     Parameters
     ----------
     array : dask.array.Array, xarray.DataArray, or array
-        The source. Of an array that is sliced when it is read (Zarr's, HDF5's, a memory map), each task reads its own
-        part, and memory does not grow with the array. Chunks of a Dask array are computed once, and shared by the tasks
-        that need them.
+            The source. From an array that is sliced when it is read (Zarr's, HDF5's, a memory map), each task reads
+            only its part, so memory does not grow with the array. Chunks of a Dask array are computed once, and shared
+            by the tasks that need them.
     deformation : Deformation
     grid : Grid, optional
         The grid of the output; by default, that of the input.
     chunks : int, tuple or dict, optional
-        The chunks of the output, as in Dask; by default, those of the source. Of a DataArray, a dict names axes; where
-        it leaves one out, blocks are whole along axes that are bent, and have one position of others.
+            The chunks of the output, as in Dask; by default, those of the source. For a DataArray, a dict names axes.
+            Of axes that it omits, bent ones have one chunk, and others chunks of one position.
     axes : sequence of int, optional
-        The axes that are bent, in ascending order, side by side. By default the last ones, if they have the shape of
+            The axes that are bent: adjacent, in ascending order. By default the last ones, if they have the shape of
         the deformation, and the first ones otherwise, as of images with channels. Axes before them are carried along:
         times, channels, positions. An axis after them holds channels, the last of which may be opacity.
     sampling : Sampling, optional
@@ -70,9 +70,9 @@ def warp(
     Returns
     -------
     dask.array.Array or xarray.DataArray
-        Of the source's type, and equal to what `Deformation.warp` returns, bit for bit. A DataArray keeps its name, its
-        attributes and its coordinates. On another grid, bent axes have the grid's positions, if its axes are those of
-        space; on a part of the deformation's own grid, their own ones.
+            Of the source's type, and equal to what `Deformation.warp` returns, bit for bit. A DataArray keeps its name,
+            attributes and coordinates. Another grid sets the coordinates of bent axes, if it is parallel to the axes of
+            space; a part of the deformation's own grid keeps the source's.
 
     Warns
     -----
@@ -121,9 +121,9 @@ def _first_axis(shape: tuple[int, ...], bent: tuple[int, ...], axes: Sequence[in
 
 
 def _warped(array: Any, job: Warp, chunks: Any, first: int, stacklevel: int = 4) -> da.Array:
-    """Return the warped array; warnings are of the line that called `warp`."""
+    """Return the warped array; warnings point at the line that called `warp`."""
     n, dims = job.deformation.ndim, len(array.shape)
-    last = first + n  # the axis after those that are bent
+    last = first + n  # the axis after the bent ones
     dtype = np.dtype(array.dtype)
     # Checks the type and the channels.
     work_of((*job.deformation.shape, *array.shape[last:]), dtype, job.packed(), job.sampling, job.alpha)
@@ -160,7 +160,7 @@ def _warped(array: Any, job: Warp, chunks: Any, first: int, stacklevel: int = 4)
 
 
 def _everywhere(job: Warp, boxes: Sequence[Box]) -> list[Read]:
-    """Find the parts that blocks read, by Dask: on the threads here, or the cluster that is connected."""
+    """Return the parts that blocks read, computed by Dask: on local threads, or on the connected cluster."""
     if len(boxes) <= _TOGETHER:
         return job.all_reads(boxes)
     # The map, which may hold a large field, is sent once, and not with each task.
@@ -175,7 +175,7 @@ def _chunks(
     """Return the chunks of the output; an axis of channels has one."""
     given, tail = chunks, shape[first + n :]
     if chunks is None and (own := getattr(array, "shards", None) or getattr(array, "chunks", None)):
-        # On another grid, blocks of the source's size.
+        # On another grid, blocks have the size of the source's.
         chunks = tuple(
             sizes if isinstance(sizes, int) or sum(sizes) == size else max(sizes)
             for sizes, size in zip(own, shape, strict=True)
@@ -195,7 +195,7 @@ def _chunks(
 
 
 def _pieces(array: da.Array, box: Box, graph: dict[Any, Any], key: Any) -> tuple[Any, ...]:
-    """Return where the pieces of a part of an array go, and the pieces: copies of parts of chunks, as tasks."""
+    """Return the shape of a part of an array, and the places and keys of its pieces, which are copied by tasks."""
     ranges = []
     for (start, stop), sizes in zip(box, array.chunks, strict=True):
         ends = np.cumsum(sizes)
@@ -214,7 +214,7 @@ def _pieces(array: da.Array, box: Box, graph: dict[Any, Any], key: Any) -> tuple
 
 
 def _cut(chunk: npt.NDArray[Any], within: Box) -> npt.NDArray[Any]:
-    """Return a copy of a part, so that the chunk can be freed; a chunk of which all is needed is not copied."""
+    """Return a copy of a part, so that the chunk can be freed; a chunk that is needed whole is returned itself."""
     if all(b - a == size for (a, b), size in zip(within, chunk.shape, strict=True)):
         return chunk
     return np.array(chunk[tuple(slice(*each) for each in within)])
@@ -247,7 +247,7 @@ def _of_xarray(array: Any, job: Warp, chunks: Any, axes: Sequence[int] | None) -
     bent = array.dims[first : first + job.deformation.ndim]
     coords = dict(array.coords)
     grid, own = job.grid, job.deformation.grid
-    if grid is not None and grid.uncropped().is_same_space(own):  # a part of what was there
+    if grid is not None and grid.uncropped().is_same_space(own):  # a part of the source's grid
         kept = dict(zip(bent[::-1], map(slice, grid.first, np.add(grid.first, grid.sizes)), strict=True))
         coords = {name: value.isel(kept, missing_dims="ignore") for name, value in coords.items()}
     elif grid is not None:
@@ -256,5 +256,5 @@ def _of_xarray(array: Any, job: Warp, chunks: Any, axes: Sequence[int] | None) -
             for dim, size, step, start in zip(bent[::-1], grid.sizes, grid.spacing, grid.origin, strict=True):
                 coords[dim] = (dim, start + step * np.arange(size))
     result = xarray.DataArray(made, coords, array.dims, attrs=array.attrs)
-    result.name = array.name  # without one, it would be that of Dask's array
+    result.name = array.name  # otherwise it is the name of Dask's array
     return result

@@ -55,10 +55,10 @@ from supple.strokes import (
     time_radius_of,
 )
 
-_HIT = 1e-6  # samples: a point of a pull that is as near as this has arrived
-_APART = 0.3  # radii between the points by which a way is restored or smoothed, at least
-_LAST = "the straightening"  # of a picture
-_FREE, _TAKEN = -1, -2  # of a point that no later stroke carries away, or one on purpose
+_HIT = 1e-6  # samples: a point of a pull this near to its target has arrived
+_APART = 0.3  # radii: the least distance between the points that restore and smooth drag
+_LAST = "the straightening"  # the name of the map that straightens a picture; the last one
+_FREE, _TAKEN = -1, -2  # a point that no later stroke carries away; or one that may be carried away
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -85,16 +85,16 @@ class Inverse:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Certified:
-    """Points that went through a map, and how accurate each is.
+    """Points mapped by a deformation, and the accuracy of each.
 
     Parameters
     ----------
     points : float64 array, shape (..., D)
         The points, in pixels, x first.
     error : float64 array, shape (...)
-        A bound on the distance of each from where the map leads, in physical units (samples times spacing): of what is
-        solved, four times the Newton step that is left, stretched by the maps after it; and rounding. inf where no
-        solution was found.
+            A bound on the distance of each point from its exact image, in physical units (samples times spacing): for
+            solved points, four times the remaining Newton step, magnified by the maps after it; and rounding. inf where
+            no solution was found.
     converged : bool array, shape (...)
         Whether a solution was found.
     """
@@ -124,10 +124,10 @@ class Arrival:
         The cause of a miss: ``"fold"``, ``"border"``, ``"freeze"`` for what is frozen, ``"fold and border"``, ``"fold
         and freeze"``; ``"outside"`` if the stroke starts outside a fixed border, where it moves nothing; or None.
     also : tuple of Arrival
-        Of a pull, those of its further points, in order.
+        For a pull, the arrivals of its further points, in order.
     carried_by : int or None
-        Of a grab or a pull, the number, from 0, of the later stroke that carries the point more than half a sample
-        away; None if none does, or if one does so on purpose (`MissWarning`).
+            For a grab or a pull, the index of the later stroke that carries the point more than half a sample away;
+            None if none does, or one that may do so (see `MissWarning`).
     """
 
     target: Vector
@@ -140,7 +140,7 @@ class Arrival:
     carried_by: int | None = None
 
     def on(self, grid: Grid, own: Grid) -> Arrival:
-        """Return the arrival in samples of another grid; those of this one are of ``own``."""
+        """Return the arrival with its points, which are in samples of ``own``, in samples of ``grid``."""
         target, arrived, final = map(
             tuple, grid.indices(own.positions([self.target, self.arrived, self.final])).tolist()
         )
@@ -240,8 +240,8 @@ class Deformation:
         to its target in smaller steps; ``"damp"`` it to a safe length, with a warning; or raise a `FoldError`
         (``"error"``).
     freeze : array or Freeze, optional
-        The freeze mask: an array of the shape, True (or white) where strokes shall move nothing; or one that
-        `Freeze.of` made, with a fade of another width. For a clip, it may be that of a frame.
+            The freeze mask: an array of the shape, True (or white) where strokes shall move nothing; or a `Freeze`, for
+            another width of the fade (`Freeze.of`). A clip also takes a mask of shape (H, W), for all its frames.
 
     Notes
     -----
@@ -257,10 +257,10 @@ class Deformation:
     time nothing in the plane, unless a ``poisson`` is given, by which all three axes are one material.
 
     They raise `SuppleError` if an argument is invalid, if the stroke cannot reach its target, or if no sample is within
-    its reach, and `FoldError` if it would fold, or be held back, under ``on_fold="error"``. They warn if it starts
-    outside the samples (`OutsideWarning`), if it was damped, under ``on_fold="damp"`` (`FoldWarning`), and if it ends
-    more than half a pixel from its target, as what is frozen, or a border, holds it back, or carries the point of an
-    earlier stroke that far away, and does not begin within a tenth of its radius of that point (`MissWarning`).
+    its reach, and `FoldError` if it would fold, or be held back, under ``on_fold="error"``. They warn if the stroke
+    starts outside the samples (`OutsideWarning`); if it was damped, under ``on_fold="damp"`` (`FoldWarning`); if a
+    freeze mask or a border keeps its point more than half a pixel from the target; and if it carries the point of an
+    earlier stroke that far away, unless it begins within a tenth of its radius of that point (both `MissWarning`).
 
     Examples
     --------
@@ -280,7 +280,8 @@ class Deformation:
     maps: tuple[Placed, ...] = field(repr=False)
     output: Grid = field(repr=False)
     straightened: Straighten | None = field(repr=False)
-    # Of each point of each stroke, in physical units: where it arrived, where maps have it since then, where it is now.
+    # For each point of each stroke: where it arrived, that place moved by later maps alone, and where it is now.
+    # In physical units, shape (N, 3, 3).
     _points: Floats = field(repr=False)
     _carriers: npt.NDArray[np.int64] = field(repr=False)
 
@@ -334,14 +335,14 @@ class Deformation:
     ) -> Self:
         """Return a recipe's strokes on a domain, without hidden ones; errors and warnings name the stroke.
 
-        ``maps`` are fields and affine maps between the strokes; ``warn``, whether to warn of those that fold;
-        ``roaming`` are the indices of strokes that may start outside the domain, without a word; ``say`` is called in
-        place of ``warnings.warn``.
+        ``maps`` are fields and affine maps between the strokes. ``warn`` says whether to warn of fields that fold.
+        Strokes with the indices ``roaming`` may start outside the domain without a warning. ``say`` is called in place
+        of ``warnings.warn``.
 
-        If the recipe has an amount, or a stroke a strength, below 1, that fraction of the stroke's drag is applied. The
-        point at which a later stroke begins is carried along with the material, which has then moved less: it is mapped
-        back through the earlier strokes at full strength, and forward through them as applied. ``strokes`` of the
-        result are those in effect.
+        An amount of the recipe, or a strength of a stroke, below 1 applies that fraction of the stroke's drag. Pivots
+        of later strokes move with the material under them, which has then moved less: each is mapped back through the
+        earlier strokes at full strength, and forward through them as applied. ``strokes`` of the result are those in
+        effect.
 
         Raises
         ------
@@ -454,15 +455,15 @@ class Deformation:
     ) -> Space:
         """Return the packed map, with the grid of the output if it is not that of the input.
 
-        ``source`` is the grid of the input, if it is not that of the deformation: of a sheared volume, whose
-        deformation is on the upright grid around it. ``check`` says whether to look if fields lie where they are used,
-        and ``inverse``, whether the map is T⁻¹.
+        ``source`` is the grid of the input if it differs from the deformation's: that of a sheared volume, whose
+        deformation is on the upright grid around it. ``check`` says whether to check that fields overlap the grids on
+        which they are used; ``inverse``, whether the map is T⁻¹.
 
         Raises
         ------
         SuppleError
-            If a field lies apart from that grid, or from what the maps before it lead to; or if the inverse of a
-            straightened picture is asked for.
+                If a field does not overlap the output's grid, or the region to which the maps before it lead; or if the
+                inverse of a straightened picture is asked for.
         """
         plain = self._space
         if inverse and self.straightened is not None:
@@ -505,13 +506,13 @@ class Deformation:
         if regrid is not None:
             parts.append(("affine", matrix_rows(regrid), False))
         axes = Domain(own.shape, own.spacing).packed() if leans else plain.axes.copy()
-        axes[:, 2] = -1.0  # the border is that of the strokes
+        axes[:, 2] = -1.0  # the border applies to the strokes, which have it already
         composite = _core.Composite(self.ndim, plain.axes, parts, plain.freeze)
         return replace(plain, axes=axes, composite=composite, grid=grid)
 
     @property
     def is_identity(self) -> bool:
-        """True if the map is the identity: no maps, and no strokes, or none with any force."""
+        """True if the map is the identity: it has no fields or affine maps, and no stroke with any force."""
         return self._space.rows.size == 0 and not self.maps and self.output is self.grid
 
     grab = _adding(Stroke.grab)
@@ -526,10 +527,10 @@ class Deformation:
     ) -> Self:
         """Return the deformation with one more stroke, which brings the material around points back to its origin.
 
-        The stroke is a pull of the points and some around them, from where they are to where they came from; it moves
-        nothing beyond two radii of their way. ``at`` is a point of the output, or several (N, D), along which a brush
-        goes: half a radius apart. ``strength`` is the part of the way back, one for all of them or one for each;
-        ``warn`` is as in `add`, and errors are those of all brushes.
+        The stroke is a pull of the points, and of some around them, to where they came from; it moves nothing beyond
+        two radii of their paths. ``at`` is a point of the output, or several (N, D), half a radius apart along the path
+        of a brush. ``strength`` is the fraction of the way back, one for all points or one for each; ``warn`` is as in
+        `add`, and errors are those of all brushes.
         """
         return self._led(at, radius, strength, "restore", self._displaced, warn)
 
@@ -538,8 +539,9 @@ class Deformation:
     ) -> Self:
         """Return the deformation with one more stroke, which relaxes the displacement around points.
 
-        The stroke is a pull of the points and some around them, each to the mean displacement of its surroundings, at
-        one radius from it; it moves nothing beyond two radii of their way. The arguments are those of `restore`.
+        The stroke is a pull of the points, and of some around them, each to the mean displacement of its surroundings
+        at a distance of one radius; it moves nothing beyond two radii of their paths. The arguments are those of
+        `restore`.
         """
 
         def rough(points: Floats) -> Floats:
@@ -553,7 +555,7 @@ class Deformation:
         return np.asarray(points - self.inverse(points).points)
 
     def _directions(self) -> Floats:
-        """Return unit vectors around a point: of a hexagon, in a frame, or of an icosahedron, shape (N, D)."""
+        """Return unit vectors (N, D) around a point: to the corners of a hexagon in a frame, or of an icosahedron."""
         if self.ndim == 3 and not self.domain.time:
             golden = (1 + math.sqrt(5)) / 2
             corners = [(0.0, a, b * golden) for a in (-1.0, 1.0) for b in (-1.0, 1.0)]
@@ -573,7 +575,7 @@ class Deformation:
         errors: Callable[[Floats], Floats],
         warn: bool,
     ) -> Self:
-        """Return the deformation with a pull of some points, and some around them, by a part of their errors."""
+        """Return the deformation with a pull that removes a fraction of the errors of points and their surroundings."""
         n, spacing = self.ndim, np.array(self.domain.spacing)
         centres = np.array([point("at", p, (n,)) for p in np.atleast_2d(np.asarray(at, object)).tolist()])
         amounts = strength if isinstance(strength, Sequence) else [strength] * len(centres)
@@ -588,7 +590,7 @@ class Deformation:
             points, part = np.concatenate([points, places[far]]), np.append(part, np.full(far.sum(), amount))
         points, part = points / spacing, part[:, None]
         first, last = (x[:n] / spacing for x in self.domain.packed()[:, :2].T)
-        # Samples within a fixed edge, which nothing else reaches; at the ends of a clip, points move in their frames.
+        # With a fixed border, only points at least a sample inside move; those at the ends of a clip keep their time.
         held = np.full(n, 0.0 if self.domain.border is None else 1.0)
         low, high = first + held, last - held
         if self.domain.time:
@@ -608,11 +610,11 @@ class Deformation:
         return self.add(replace(stroke, name=name), warn=warn)
 
     def freeze(self, mask: npt.ArrayLike | Freeze | None) -> Self:
-        """Return the deformation with a freeze after the strokes so far: later ones move nothing where it is frozen.
+        """Return the deformation with a freeze mask for later strokes: these move nothing that it freezes.
 
-        There, T⁻¹ is that of the strokes so far, bit for bit, whatever follows. The mask takes the place of the one
-        before it, and that of the deformation (``freeze=``) holds from the first stroke on. Where it lies is meant in
-        the picture as it is now, after the strokes so far.
+        In frozen samples, T⁻¹ stays that of the strokes so far, bit for bit, whatever follows. The mask replaces the
+        one before it; that of the deformation (``freeze=``) holds from the first stroke on. Positions in it are those
+        of the picture after the strokes so far.
 
         Parameters
         ----------
@@ -631,8 +633,8 @@ class Deformation:
         Parameters
         ----------
         stroke : Stroke
-            A hidden one is not added, and this deformation itself is returned. Of one with a strength other than 1,
-            that fraction of the drag is applied and recorded; beyond 1, or below 0, as much of it as is possible.
+                A hidden one is not added: the deformation is returned unchanged. A strength other than 1 applies, and
+                records, that fraction of the drag; beyond 1, or below 0, as much of it as is possible.
         warn : bool
             Whether to warn if it starts outside the samples or misses its target, and to refuse it if it reaches no
             sample; `warnings` has the text of a miss too. Errors and warnings are those of all brushes.
@@ -660,7 +662,7 @@ class Deformation:
         if stroke.brush == "freeze":
             if domain.freeze and domain.freeze.place:
                 _check_place(domain.freeze, self.grid)
-            resolved = Resolved(pack([], domain.spacing), stroke.at)  # the next stroke is the first that it concerns
+            resolved = Resolved(pack([], domain.spacing), stroke.at)  # it only affects later strokes
         else:
             if self.strokes and self.strokes[-1].brush == "freeze":
                 held = mask_of(self._frozen)
@@ -689,7 +691,7 @@ class Deformation:
         return made
 
     def _masked(self, stroke: Stroke) -> Domain:
-        """Return the domain with the mask of a freeze, or that of a stroke: its matte, times the freeze mask."""
+        """Return the domain with a stroke's mask: that of a freeze, or the matte times the freeze mask in effect."""
         domain, matte = self._frozen, stroke.matte
         if stroke.brush == "freeze":
             return domain.frozen(matte)
@@ -706,12 +708,12 @@ class Deformation:
 
     @property
     def _frozen(self) -> Domain:
-        """The domain with the freeze mask that the next stroke is subject to."""
+        """The domain with the freeze mask of the next stroke."""
         last = last_freeze(self.strokes)
         return self.domain if last is None else self.domain.frozen(last)
 
     def _after(self, stroke: Stroke, resolved: Resolved, space: Space) -> dict[str, npt.NDArray[Any]]:
-        """Return the points of all strokes, and what carries them, after one more."""
+        """Return ``_points`` and ``_carriers`` after one more stroke."""
         own = padded([at for at, _ in stroke.handles], self.domain)
         points = np.concatenate([self._points[:, 2], own])
         if resolved.substrokes:
@@ -733,9 +735,9 @@ class Deformation:
         return {"_points": np.concatenate([known, new]), "_carriers": np.concatenate([carriers, free])}
 
     def _carried(self, first: int, shown: Sequence[int], count: int) -> str | None:
-        """Return the warning of points that strokes from one on carry away; None if there are none.
+        """Return the warning of points carried away by strokes from index ``first`` on; None if there are none.
 
-        ``shown`` are the indices of the strokes by which people know them, and ``count`` is how many there are.
+        ``shown`` are the indices of the strokes in the user's list, and ``count`` is its length, for the message.
         """
         carried = np.flatnonzero(self._carriers >= first).tolist()
         if not carried:
@@ -770,8 +772,8 @@ class Deformation:
         Parameters
         ----------
         matrix : array_like, shape (D, D + 1) or (D + 1, D + 1), or Affine
-            The map of positions (`grid` says where samples lie), from a point of the output to the point of the input
-            that is seen there (pull), as resampling tools take it.
+                The map of positions (see `grid`), from a point of the output to its source point in the input (pull),
+                as resampling tools take it.
         inverse : bool
             Whether to apply the inverse: a point of the input goes where the matrix says (push).
         """
@@ -783,7 +785,7 @@ class Deformation:
         Parameters
         ----------
         field : Field
-            From a point of the output to the point of the input that is seen there (pull), as resampling tools take it.
+                From a point of the output to its source point in the input (pull), as resampling tools take it.
         inverse : bool
             Whether to apply the inverse: a point x of the input goes to x + u(x) (push). It is solved at every pixel.
 
@@ -799,15 +801,15 @@ class Deformation:
     def straighten(self, how: Straighten | None = None, *, sizes: Sequence[int] | None = None, **options: Any) -> Self:
         """Return the deformation of a picture that is straightened after all strokes, in the same resampling.
 
-        It comes last, and `output` is then the grid of the result, on which `warp` writes. What is empty there is
-        filled (``fill``, by default 0: transparent, where there is opacity), unless ``outside`` is given.
+        It comes last; `output` is then the grid of the result, which `warp` uses. Empty parts get the fill value
+        (``fill``, by default 0: transparent, if there is opacity), unless ``outside`` is given.
 
         Parameters
         ----------
         how : Straighten, optional
             By default, one that changes nothing.
         sizes : sequence of int, optional
-            The width and height of the picture, if it is a part, whose first pixel is at position (0, 0).
+                The width and height of the whole picture, whose first pixel is at (0, 0), if this is a part of it.
         **options
             Fields to replace, by name: ``d.straighten(rotate=5)``.
 
@@ -836,14 +838,14 @@ class Deformation:
         return made._changed(straightened=straighten, output=self.grid if output == self.grid else output)
 
     def filling(self, sampling: Sampling, options: SamplingFields) -> SamplingFields:
-        """Return options of sampling that fill what straightening leaves empty, unless a boundary mode is given."""
+        """Return the options, with ``outside="constant"`` by default if straightening leaves empty parts."""
         gaps = sampling is DEFAULT and self.straightened is not None and self.straightened.has_gaps
         return {"outside": "constant", **options} if gaps else options
 
     def behind(self, maps: Sequence[Placed], grid: Grid | None = None) -> Self:
-        """Return the deformation with fields and affine maps before its strokes, whose points stay where they are.
+        """Return the deformation with fields and affine maps before its strokes; the points of these do not change.
 
-        ``grid`` says where its samples lie in space, if its own does not.
+        ``grid`` replaces its own grid, if that has no position in space.
         """
         place = {} if grid is None else {"grid": grid, "output": grid}
         return self._changed(maps=(*(replace(each, after=0, row=0) for each in maps), *self.maps), **place)
@@ -983,8 +985,8 @@ class Deformation:
             alone, ``alpha`` has to say so. Arrays are of bool, integers or floats. Frames are read, and their results
             written, a few at a time, so that both may be memory-mapped. An array on an NVIDIA GPU (PyTorch's, CuPy's,
             Numba's, or any with DLPack or ``__cuda_array_interface__``) is warped there, on its library's current
-            stream. Of an image of SimpleITK or nibabel, the deformation has the
-            shape and the spacing (``Deformation(supple.grid_of(image))``); a volume is sampled alike along all axes
+                stream. For an image of SimpleITK or nibabel, the deformation must have its
+                shape and spacing (``Deformation(supple.grid_of(image))``); a volume is sampled alike along all axes
             unless ``between`` is given, components and times are channels, and none is opacity by default.
         sampling : Sampling, optional
             How the source is sampled: the filter, the tolerance, the boundary mode and fill value, and so on.
@@ -1001,12 +1003,12 @@ class Deformation:
         out : array, optional
             The array for the result, of its shape and type, and not overlapping ``source``.
         grid : Grid, optional
-            The grid of the output; by default, that of the input. `supple.grid_of` reads that of another image. Of
-            ``d.grid.crop(…)``, a part of the grid, the result equals that part of the whole, bit for bit, at a
-            cost in proportion.
+                The grid of the output; by default, that of the input. `supple.grid_of` reads that of another image. On
+                a part of the grid, ``d.grid.crop(…)``, the result equals that part of the whole, bit for bit, and costs
+                in proportion.
         inverse : bool
-            Whether to apply T⁻¹ in place of T: what was warped goes back to where it came from. Each pixel p of the
-            result is what the source shows at T(p), which is explicit, so that the inverse is as exact as the map.
+                Whether to apply T⁻¹ in place of T, which undoes a warp. Each pixel p of the result is the source's
+                sample at T(p), which is explicit, so the inverse is as exact as the map.
         **options
             Fields of the sampling to replace, by name: ``d.warp(image, filter="linear", outside="reflect")``.
 
@@ -1066,7 +1068,7 @@ class Deformation:
         return made if image is None else image.like(made, grid or (self.output if self.straightened else None))
 
     def _own(self, own: Grid, output: Grid | None) -> Grid | None:
-        """Return the grid of an image if it is not that of the deformation; SuppleError if it does not fit this."""
+        """Return the grid of a sheared image, or None if it is upright; SuppleError if it does not fit."""
         upright, made = own.upright(), "make it on the image's grid, Deformation(supple.grid_of(image))"
         near = np.allclose(upright.spacing, self.grid.spacing, rtol=1e-3, atol=0.0)
         if self.domain.time or upright.shape != self.shape or not near:
@@ -1142,14 +1144,14 @@ class Deformation:
         return replace(found[0], also=tuple(found[1:]))
 
     def _moved(self, placed: Placed, points: Floats) -> Floats:
-        """Return points (N, 3) of the domain as one map alone moves them."""
+        """Return points (N, 3) of the domain as mapped by one field or affine map alone."""
         composite = self.without_strokes()._with(placed, False).space.composite
         assert composite is not None
         return composite.through(points, False, False, np.zeros(len(points), np.uint8))[0]
 
     @property
     def warnings(self) -> tuple[str | None, ...]:
-        """For each stroke, the text of its warning if it misses its target."""
+        """For each stroke, the warning if it misses its target, or None."""
         return tuple(r.warning for r in self._resolved)
 
     def __eq__(self, other: object) -> bool:
@@ -1161,12 +1163,12 @@ class Deformation:
         return hash(self._key())
 
     def _key(self) -> tuple[object, ...]:
-        maps = tuple(each for each in self.maps if each.name != _LAST)  # which follows from the others
+        maps = tuple(each for each in self.maps if each.name != _LAST)  # it is given by ``straightened``
         return self.domain, self.grid, self.on_fold, self.strokes, maps, self.straightened
 
 
 def place_of(points: object) -> Any:
-    """Return the module that maps points where they lie: `supple.engine.core`, or `supple.cuda.points`."""
+    """Return the module that maps points on their device: `supple.engine.core` or `supple.cuda.points`."""
     if not is_on_device(points):
         return core
     from supple.cuda import points as on_device
@@ -1204,12 +1206,12 @@ def _freeze_of(mask: npt.ArrayLike, domain: Domain) -> Freeze:
 
 
 def part_of(stroke: Stroke, amount: float) -> float:
-    """Return the part of a stroke that is applied: the product of both, as far as strokes can be."""
+    """Return the applied fraction of a stroke: the amount times its strength, clamped to the valid range."""
     return min(max(amount * stroke.strength, LEAST), MOST)
 
 
 def reduced(stroke: Stroke, amount: float, whole: Deformation, now: Deformation) -> Stroke:
-    """Return the applied part of a recipe's stroke, by the recipe's amount and the stroke's strength.
+    """Return a recipe's stroke as applied, by the recipe's amount and the stroke's strength, with a moved pivot.
 
     ``whole`` and ``now`` are the strokes before it, at full strength and as applied: the same object if equal.
     """
@@ -1218,7 +1220,7 @@ def reduced(stroke: Stroke, amount: float, whole: Deformation, now: Deformation)
         return stroke
     at = stroke.at if whole is now else tuple(now.forward(whole.inverse(stroke.at).points).tolist())
     domain, time_radius = now.domain, stroke.time_radius
-    if part != 1 and domain.time and not stroke.isotropic:  # which depends on the drag
+    if part != 1 and domain.time and not stroke.isotropic:  # its default depends on the drag
         time_radius = time_radius_of(stroke, domain.shape[0], domain.spacing[2])
     if 0 <= part <= 1:
         return replace(stroke.weakened(part), at=at, time_radius=time_radius)
@@ -1226,7 +1228,7 @@ def reduced(stroke: Stroke, amount: float, whole: Deformation, now: Deformation)
 
 
 def after(stroke: Stroke, amount: float, whole: Deformation, before: Deformation, now: Deformation) -> Deformation:
-    """Return ``whole`` with one more stroke; returns ``now``, the applied strokes, as long as these are equal."""
+    """Return ``whole`` with one more stroke at full strength; or ``now``, the applied strokes, while both are equal."""
     if whole is before and amount * stroke.strength == 1:
         return now
     return whole.add(replace(stroke, strength=1.0), warn=False)

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from typing import Any
 
-_ANY: Any = object()  # an argument without a value
+_ANY: Any = object()  # marks an argument that is named without a value
 
 
 @dataclass(frozen=True)
@@ -21,13 +21,13 @@ class Spelling:
     Parameters
     ----------
     argument : function of (str, object)
-        Returns an argument by its name, with a value unless that is `Spelling.ANY`.
+            Returns the spelling of an argument, given its name and its value: the name alone if that is `Spelling.ANY`.
     none : str
-        The name of None.
+            The spelling of None.
     first : int
         The number of the first frame of a clip.
     stroke : function of Stroke, optional
-        Returns what a stroke is called; by default, what it is, with all its numbers.
+            Returns the name of a stroke; by default, its brush with all its numbers.
     """
 
     ANY = _ANY
@@ -39,12 +39,12 @@ class Spelling:
 
 PYTHON = Spelling(lambda name, value: name if value is _ANY else f"{name}={value!r}")
 JSON = Spelling(lambda name, value: name if value is _ANY else f'"{name}": {value!r}', "null")
-_face = PYTHON  # of all threads
+_face = PYTHON  # the default of all threads
 _here: ContextVar[Spelling | None] = ContextVar("spelling", default=None)
 
 
 def current_spelling() -> Spelling:
-    """Return how messages name arguments now."""
+    """Return the spelling of arguments that is in effect."""
     return _here.get() or _face
 
 
@@ -77,22 +77,22 @@ def facing(how: Spelling) -> Iterator[None]:
 
 
 def argument(name: str, value: object = _ANY) -> str:
-    """Return an argument, and a value of it, as the reader of a message gives it: ``on_fold='flow'``."""
+    """Return an argument, with its value if given, as spelled for the reader: ``on_fold='flow'``."""
     return current_spelling().argument(name, value)
 
 
 def numbered(frame: float) -> float:
-    """Return the number of a frame, counted from 0, for the reader of a message."""
+    """Return the number that messages give a frame, from its index (0 is the first)."""
     return frame + current_spelling().first
 
 
 def listing(names: Sequence[str], most: int) -> str:
-    """Return a list of names, of which there are so many at most, and how many more there are."""
+    """Return up to ``most`` of the names as text, and how many more there are."""
     return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")
 
 
 def none() -> str:
-    """Return None as the reader of a message gives it."""
+    """Return the spelling of None."""
     return current_spelling().none
 
 
@@ -104,7 +104,7 @@ class SuppleError(ValueError):
 
 
 def need(extra: str, what: str, *modules: str) -> None:
-    """Raise SuppleError, with the command to install them, unless the modules of an optional extra are there."""
+    """Raise SuppleError, with the command that installs the extra, if one of its modules is missing."""
     for module in modules:
         if find_spec(module) is None:
             raise SuppleError(f"{what} need {module}, which is not installed: pip install 'supple[{extra}]'")
@@ -163,7 +163,7 @@ class GapWarning(UserWarning):
 
 
 def caller() -> int:
-    """Return the ``stacklevel`` of a warning from the function that asks: that of the first caller outside Supple."""
+    """Return the ``stacklevel`` by which a warning of the calling function names the first caller outside Supple."""
     level, frame = 1, sys._getframe(1)
     while frame.f_back is not None and frame.f_globals.get("__name__", "").partition(".")[0] == "supple":
         level, frame = level + 1, frame.f_back
@@ -171,11 +171,11 @@ def caller() -> int:
 
 
 def said(error: BaseException) -> str:
-    """Return the first line of an error, or its type if it says nothing."""
+    """Return the first line of an error's message, or its type if it has none."""
     return (str(error).splitlines() or [""])[0] or type(error).__name__
 
 
 def shown(path: str | os.PathLike[str]) -> str:
-    """Return a path for one line of text: quoted if it is empty or holds odd characters."""
+    """Return a path for one line of text: quoted if it is empty or has unprintable characters."""
     text = os.fspath(path)
     return text if text and text.isprintable() else ascii(text)

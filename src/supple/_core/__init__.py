@@ -1,4 +1,4 @@
-"""The native core, compiled for the best instruction set of this processor (see ``loading``)."""
+"""The native core, loaded in the build for the best instruction set of this processor (see ``loading``)."""
 
 from supple._core.loading import load as _load
 

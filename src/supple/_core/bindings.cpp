@@ -110,7 +110,7 @@ void make_frozen(Frozen* self, const Solid<const float>& values, std::array<doub
     new (self) Frozen(values.data(), shape, first.data(), step.data());
 }
 
-// m of points (N, 3), and its gradient.
+// m at points (N, 3), and its gradient.
 nb::object freedom(const Frozen& mask, const Triples& points) {
     const size_t count = points.shape(0);
     auto *values = new std::vector<double>(count), *slopes = new std::vector<double>(3 * count);
@@ -157,7 +157,7 @@ NB_MODULE(SUPPLE_MODULE, m) {
         try {
             std::rethrow_exception(p);
         } catch (const supple::Interrupted&) {
-        }  // what Python was interrupted with is set already
+        }  // Python's exception is set already
     });
     supple::after_fork([] { supple::ending.forked(); });
     nb::module_::import_("atexit").attr("register")(nb::cpp_function([] { supple::ending.begin(); }));

@@ -14,7 +14,7 @@ using namespace nb::literals;
 
 namespace supple {
 
-// Contiguous values of a type T, of SIZES along its axes: -1 for any.
+// A contiguous array of type T, with SIZES along its axes; -1 for any size.
 template <class T, nb::ssize_t... SIZES>
 using Array = nb::ndarray<T, nb::shape<SIZES...>, nb::c_contig, nb::device::cpu>;
 template <class T>
@@ -32,13 +32,13 @@ inline Strokes strokes_of(const Doubles& rows, const AxisRows& axes, const Maski
     return strokes_of(rows, load_axes(axes.data()), freeze);
 }
 
-// New values as an array that owns them.
+// The values as a new array that owns them.
 inline nb::object owned(std::vector<double>* made, std::initializer_list<size_t> shape) {
     nb::capsule owner(made, [](void* p) noexcept { delete (std::vector<double>*)p; });
     return nb::cast(nb::ndarray<nb::numpy, double>(made->data(), shape, owner));
 }
 
-// Call body(first, n) for batches of LANES points, of which the last may have fewer.
+// Call body(first, n) for batches of LANES points; the last one may have fewer.
 template <class F>
 void each_batch(size_t count, F body) {
     constexpr size_t TOGETHER = 512;  // points for a thread at once
@@ -48,8 +48,8 @@ void each_batch(size_t count, F body) {
     });
 }
 
-// At exit, Python ends daemon threads that wait for its lock, within C++ code that cannot be unwound. So such threads
-// wait until the process has ended, and exit waits for those that already ask.
+// At exit, Python ends daemon threads that wait for its lock; within C++ code, they cannot be unwound. So such threads
+// wait here until the process has ended, and exit waits for threads that are already taking the lock.
 class Ending {
 public:
     // Before and after a thread takes Python's lock again.
@@ -63,7 +63,7 @@ public:
         while (!try_enter()) std::this_thread::sleep_for(std::chrono::hours(1));
     }
     void entered() { asking--; }
-    void forked() { asking = 0; }  // no thread of the parent's is in its child
+    void forked() { asking = 0; }  // threads of the parent do not exist in its child
     void begin() {
         main = std::this_thread::get_id();
         begun = true;
@@ -104,7 +104,7 @@ void bind_fields(nb::module_& m);
 void bind_flat(nb::module_& m);
 void bind_render(nb::module_& m);
 
-// Plane by plane, for images and for frames: each in a file of its own, to be compiled in parallel.
+// Sample a plane of an image, or of a stack: each in a file of its own, to be compiled in parallel.
 void sample_plane(const Plan<2>& plan, const Job& job);
 void sample_plane(const Plan<3>& plan, const Job& job);
 

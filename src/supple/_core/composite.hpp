@@ -1,8 +1,8 @@
 // Composite maps: strokes, affine maps, homographies and sampled fields one after the other, each forward or inverted.
 //
 // T is the composition of its parts, the first one first. A point goes through it forwards (T) or backwards (T⁻¹): each
-// part is evaluated where the direction is its own, and solved where it is the opposite one. With the point go its
-// derivatives, by the chain rule; of a solved part, by the implicit function theorem.
+// part is evaluated in its own direction, and solved in the opposite one. Derivatives follow by the chain rule, and for
+// a solved part by the implicit function theorem.
 //
 // It uses no std::, allocation or exceptions, so that compilers for GPUs accept this file.
 #pragma once
@@ -18,19 +18,19 @@ struct Part {
     bool inverted;
     Chain chain;
     double there[3][4], back[3][4];  // an affine map and its inverse
-    bool projective;                 // whether it is one of the plane over a denominator, which is the third row
+    bool projective;                 // whether it is a homography of the plane: its third row is the denominator
     Sampled field;
 };
 
 struct Composite {
     const Part* parts;
     int count;
-    bool smooth;  // whether cells of several pixels can follow it
+    bool smooth;  // whether cells of several pixels may interpolate it
     Axis axes[3];
 };
 
-// Of the lanes that went through a composite: those solved, those within all fields, those where none folds; and the
-// evaluations.
+// The result of mapping lanes by a composite: the masks of those solved, of those within all fields, and of those where
+// no field folds; and the number of evaluations.
 template <class V>
 struct Passed {
     typename Masked<V>::type done, within, upright;
@@ -53,7 +53,7 @@ INLINE void pass_affine(const double (*m)[4], Jet<D, TANGENTS, MIXED, V>& jet) {
 }
 
 // A homography of the plane, x → n(x) / w(x), where w > 0. By the quotient rule, (n/w)ᵢ = (nᵢ − n/w wᵢ) / w, and
-// (n/w)₁₂ = (n₁₂ − (n/w)₁ w₂ − (n/w)₂ w₁) / w, as n and w are affine. It stays as it is over about w / |wᵢ|.
+// (n/w)₁₂ = (n₁₂ − (n/w)₁ w₂ − (n/w)₂ w₁) / w, as n and w are affine. It varies over lengths of about w / |wᵢ|.
 template <int D, int TANGENTS, bool MIXED, class V>
 INLINE void pass_projective(const double (*m)[4], Jet<D, TANGENTS, MIXED, V>& jet, Passed<V>& passed) {
     auto along = [&](const V* v) INLINE_LAMBDA { return m[2][0] * v[0] + m[2][1] * v[1]; };
@@ -108,7 +108,7 @@ NOINLINE void pass_field(const Sampled& k, bool solved, Jet<D, TANGENTS, MIXED, 
         field_at<D, 0, V>(k, jet.x, nullptr, nullptr, at);
         for (int a = 0; a < D; a++) found.i[a] = jet.x[a] - at.w[a];
         undo_field_surely<D, false, V>(k, jet.x, 1e-10, 1e-10, found);
-        // Beyond a field that is zero there, points stay; unless they are seen within, too.
+        // Outside a field that is zero there, points stay, unless a point of the grid is mapped to them.
         M in = on_grid<D>(k, found.i), outside = without(in == in, in);
         V stays = V{};
         if (k.zero) {
@@ -158,7 +158,7 @@ NOINLINE void pass_strokes(const Chain& chain, const Axis* axes, bool solved, Je
     }
 }
 
-// Send a jet through T, or through T⁻¹ if `backwards`.
+// Map a jet by T, or by T⁻¹ if `backwards`.
 template <int D, int TANGENTS, bool MIXED, class V>
 INLINE Passed<V> pass(const Composite& map, bool backwards, Jet<D, TANGENTS, MIXED, V>& jet) {
     typedef typename Masked<V>::type M;

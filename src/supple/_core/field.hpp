@@ -12,14 +12,14 @@ struct Sampled {
     bool wide;           // float64, and not float32
     int order;           // 1: linear; 3: the values are coefficients of a cubic B-spline
     int size[3];         // samples along x, y, z
-    // The indices between which w is interpolated; beyond, it is that at the nearest.
+    // The indices between which w is interpolated; beyond, it is that of the nearest one.
     double first[3], last[3];
     bool zero;              // beyond the grid, there is no displacement
-    double margin;          // of the grid, beyond `first` and `last`
+    double margin;          // by which the grid extends beyond `first` and `last`
     double to_index[3][4];  // A and b
     double to_place[3][4];  // the same of its inverse
     double vectors[3][3];   // from a value to a displacement of the index
-    bool diagonal;          // of `vectors`: there is nothing else
+    bool diagonal;          // whether `vectors` is diagonal
 };
 
 // w at an index, its derivatives dw[b][a] = ∂w_a/∂i_b, and its second derivative along two directions.
@@ -28,7 +28,7 @@ struct Local {
     V w[D], dw[D][D], second[D];
 };
 
-// A sample beyond the ends of an axis is that mirrored about the last one.
+// The index of a sample; beyond the ends of an axis, mirrored about the outermost sample.
 inline int mirrored(int k, int n) {
     if (n == 1) return 0;
     while (k < 0 || k >= n) k = k < 0 ? -k : 2 * (n - 1) - k;
@@ -91,7 +91,7 @@ INLINE void sum_samples(const Sampled& k, const V* i, const V* a, const V* b, Lo
     }
 }
 
-// w at an index; of ORDER 2, the second derivative along a and b.
+// w at an index, with ORDER derivatives; for ORDER 2, the second derivative along a and b.
 template <int D, int ORDER, class V>
 ONCE void sample_field(const Sampled& k, const V* i, const V* a, const V* b, Local<D, V>& found) {
     if (k.order == 1)
@@ -106,7 +106,7 @@ NOINLINE void field_at(const Sampled& k, const V* i, const V* a, const V* b, Loc
     sample_field<D, ORDER>(k, i, a, b, found);
 }
 
-// The mask of indices on the grid; of its outer faces, the far ones are beyond it, as in ITK.
+// The mask of indices on the grid: of its outer faces, the lower ones belong to it, as in ITK.
 template <int D, class V>
 INLINE typename Masked<V>::type on_grid(const Sampled& k, const V* i) {
     typename Masked<V>::type in = i[0] == i[0];
@@ -114,7 +114,7 @@ INLINE typename Masked<V>::type on_grid(const Sampled& k, const V* i) {
     return in;
 }
 
-// An index i with i + w(i) = target.
+// A solution i of i + w(i) = target.
 template <int D, class V>
 struct Undone {
     V i[D];
@@ -135,17 +135,17 @@ INLINE V determinant_of(const V (*t)[3]) {
            t[2][0] * (t[0][1] * t[1][2] - t[0][2] * t[1][1]);
 }
 
-// Newton's method on the polynomial of the cell of a linear field in which the guess `found.i` lies, and of those that
-// it leads to: samples are read once for a cell. A solution in its cell is one of the field, whatever lies beside it;
-// it is proved by Kantorovich's theorem. For other guesses, nothing is changed.
+// Newton's method in the cells of a linear field, on the polynomial of the cell of the guess `found.i`, and of the
+// cells that iterations enter: samples are read once for a cell. A solution inside its cell also solves the field, and
+// is proved by Kantorovich's theorem; where there is none, `found` does not change.
 //
-// If FINISH, the last step is taken, and the polynomial's residual after it is known without another evaluation;
-// `found` then has no derivatives, but the determinant before the step.
+// With FINISH, the last step is applied, and the residual after it is computed from the polynomial, without another
+// evaluation; `found` then has no derivatives, but the determinant before the step.
 template <int D, bool FINISH, class T, class V>
 NOINLINE void undo_in_cells(const Sampled& k, const V* target, double tolerance, Undone<D, V>& found) {
     typedef typename Masked<V>::type M;
     constexpr int N = Masked<V>::lanes, CORNERS = 1 << D;
-    V f[D], whole[D], c[CORNERS][D];  // c: of xyz, the powers whose bits are set in the index
+    V f[D], whole[D], c[CORNERS][D];  // c: coefficients of the monomials in x, y, z with bits set in the index
     M going = found.i[0] == found.i[0];
     for (int d = 0; d < D; d++) {
         V p = least(most(found.i[d], splat<V>(k.first[d])), splat<V>(k.last[d]));
@@ -229,10 +229,10 @@ NOINLINE void undo_in_cells(const Sampled& k, const V* target, double tolerance,
             }
         }
         M active = without(going, found.done), out = d2 < 0.0;
-        // Then there is a solution within 2 |step|, and no other is near.
+        // By Kantorovich's theorem, there is a solution within 2 |step|, and no other near it.
         M hit = both(active, both(left2 <= tolerance * tolerance, 16.0 * bend * bend * m2 * d2 <= 1.0));
         found.steps += choose(active, splat<V>(1.0), V{});
-        for (int d = 0; d < D; d++) {  // it must not be on the other side of a face
+        for (int d = 0; d < D; d++) {  // the solution must be within the faces of the cell
             V near = least(f[d], V(1.0 - f[d]));
             hit = both(hit, both(near >= 0.0, near * near >= 16.0 * d2));
         }
@@ -285,7 +285,7 @@ NOINLINE void undo_field(const Sampled& k, const V* target, double tolerance, in
             e2 += e[d] * e[d];
             at.dw[d][d] += 1.0;
         }
-        // Lanes that have given up do not change, whatever the others need.
+        // Lanes that have given up do not change while others continue.
         M taken = without(both(e2 <= error * (1.0 - 1e-4 * part), part > 0x1p-12), done);
         V determinant = determinant_of(at.dw), m[D][D], d2{};
         invert(at.dw, m);
@@ -294,7 +294,7 @@ NOINLINE void undo_field(const Sampled& k, const V* target, double tolerance, in
             next[d] = -times<D>(m, e, d);
             d2 += next[d] * next[d];
         }
-        // Where the field folds, or nearly does, by the residual, and never far.
+        // Steps are limited in length; where the field folds, or nearly does, they are the negative residual.
         M upright = determinant > 1e-3;
         V far2 = most(V(16.0 * e2), splat<V>(1.0)), shrink = choose(d2 > far2, V(root(V(far2 / d2))), splat<V>(1.0));
         for (int d = 0; d < D; d++) next[d] = choose(upright, V(shrink * next[d]), V(-e[d]));
@@ -346,8 +346,8 @@ NOINLINE bool follow_field(const Sampled& k, const double* target, const double*
 
 constexpr int RELAXED = 16, RETRIES = 8;
 
-// Solve for a batch, with other starts where Newton's method fails from the guess in `found.i`. Within a cell of a
-// linear field, the distance to the solution is proved, and may be `in_cells`; FINISH as in `undo_in_cells`.
+// Solve a batch, with other starts where Newton's method fails from the guess `found.i`. The tolerance within cells of
+// a linear field is `in_cells`, as the distance to the solution is proved there; FINISH as in `undo_in_cells`.
 template <int D, bool FINISH, class V>
 INLINE void undo_field_surely(const Sampled& k, const V* target, double tolerance, double in_cells,
                               Undone<D, V>& found) {
@@ -357,7 +357,7 @@ INLINE void undo_field_surely(const Sampled& k, const V* target, double toleranc
                : undo_in_cells<D, FINISH, float, V>(k, target, in_cells, found);
     if (!any(without(all, found.done))) return;
     undo_field<D, V>(k, target, tolerance, 24, found);
-    // Steps of half the residual pass folds, which stop Newton's method: by some of them, and then by Newton's again.
+    // Steps of half the residual cross folds, which stop Newton's method: take some, and try Newton's method again.
     for (int retry = 0; retry < RETRIES && any(without(all, found.done)); retry++) {
         V x[D];
         for (int d = 0; d < D; d++) x[d] = retry == 0 ? target[d] : found.i[d];

@@ -11,7 +11,7 @@ namespace {
 typedef nb::ndarray<nb::ro, nb::c_contig, nb::device::cpu> Values;
 typedef nb::ndarray<nb::c_contig, nb::device::cpu> Result;
 
-// Read a matrix of n rows, and `more`; of an affine map, the last column is the translation, to[i][3].
+// Read a matrix of n + `more` rows; the last column of an affine map, the translation, goes to to[i][3].
 void fill_matrix(const Doubles& rows, int n, int columns, double (*to)[4], int more = 0) {
     if ((int)rows.shape(0) != n + more || (int)rows.shape(1) != columns)
         throw nb::value_error("a matrix has a wrong shape");
@@ -19,7 +19,7 @@ void fill_matrix(const Doubles& rows, int n, int columns, double (*to)[4], int m
         for (int j = 0; j < columns; j++) to[i][j < n ? j : 3] = rows.data()[i * columns + j];
 }
 
-// Whether a field is so smooth, and its samples are so far apart, that cells of several pixels can follow it.
+// Whether a field is so smooth, and its samples so far apart, that cells of several pixels may interpolate it.
 bool is_smooth(const Sampled& k, const Axis* axes, int ndim) {
     double per_pixel = 0;  // indices
     for (int i = 0; i < ndim; i++)
@@ -27,9 +27,9 @@ bool is_smooth(const Sampled& k, const Axis* axes, int ndim) {
     return k.order == 3 && per_pixel <= 0.25;
 }
 
-constexpr double ROUNDING = 0x1p-48;  // of a number that a part computes, relative to what it is computed from
+constexpr double ROUNDING = 0x1p-48;  // the relative rounding error of numbers that a part computes
 
-// A bound of the rounding of a part, from the sizes of the numbers in it.
+// A bound of a part's rounding error, from the magnitudes of its numbers.
 template <int D>
 double rounding_of(const Part& part, const Axis* axes) {
     double size = 0;
@@ -42,9 +42,9 @@ double rounding_of(const Part& part, const Axis* axes) {
     return ROUNDING * size * (1 + (part.kind == STROKES ? part.chain.count : 0) / 16.0);
 }
 
-// Send points through one part after the other. The error of a part that is solved, G(x) = y, is bounded by four times
-// the Newton step from there, (∂G/∂x)⁻¹ (G(x) - y), as in `invert_row`; later parts stretch it by the norms of their
-// Jacobians. What is computed has a rounding, too.
+// Map points by one part after the other. The error of a solved part, G(x) = y, is bounded by four times the next
+// Newton step, (∂G/∂x)⁻¹ (G(x) - y), as in `invert_row`; later parts magnify it by the norms of their Jacobians. Each
+// part adds its rounding error.
 template <int D>
 Passed<Lanes> pass_with_error(const Composite& map, bool backwards, const double* rounding,
                               Jet<D, D, false, Lanes>& jet, Lanes& error) {
@@ -82,8 +82,8 @@ Passed<Lanes> pass_with_error(const Composite& map, bool backwards, const double
     return passed;
 }
 
-// Points (N, 3) through a composite: the points, the derivatives or none, and the evaluations; with bounds on their
-// errors or none, and which are solved, within, and upright.
+// Map points (N, 3) by a composite. Return the points, their derivatives or None, and the evaluations; write the status
+// of each point and, if `errors` is given, a bound of its error.
 nb::object through(const AnyComposite& any, const Triples& points, bool backwards, bool jacobian,
                    Array<uint8_t, -1> status, std::optional<Array<double, -1>> errors) {
     if (status.shape(0) != points.shape(0) || (errors && (jacobian || errors->shape(0) != points.shape(0))))
@@ -137,23 +137,23 @@ struct Inversion {
     uint8_t* status;
 };
 
-// A short step is no proof where slopes jump, or the field turns back: Newton's method goes on to here, in samples.
+// In samples. A short step proves nothing where slopes jump, or the field folds: iterate until it is this short;
 constexpr double CONVERGED = 1e-8, IN_CELLS = 1e-6;  // within a cell of a linear field, it is a proof
 
-// Guesses of i - target along a row: by the two rows before it, or by the samples before it. [component][x]
+// Guesses of i - target along a row, from the two rows before it, or from the samples before. [component][x]
 struct Guesses {
     int stride, rows = 0;
-    std::vector<double> off, slope;  // of the row before, and its difference from that before it
+    std::vector<double> off, slope;  // those of the row before, and their change from the row before that
 
     Guesses(int width, int ndim) : stride(width + LANES), off((size_t)stride * ndim), slope((size_t)stride * ndim) {}
 };
 
-// A row of the result.
+// Solve a row of the result.
 template <int D>
 void invert_row(const Inversion& job, int y, int z, Guesses& guesses) {
     const Sampled& k = job.field;
     const size_t start = ((size_t)z * job.size[1] + y) * job.size[0];
-    double near[D] = {}, stretch = 0;  // the largest distance in space for one of the index, or more
+    double near[D] = {}, stretch = 0;  // a bound of the distance in space per unit of the index
     for (int a = 0; a < D; a++)
         for (int b = 0; b < D; b++) stretch += k.to_place[a][b] * k.to_place[a][b];
     stretch = sqrt(stretch);
@@ -223,8 +223,8 @@ void invert_row(const Inversion& job, int y, int z, Guesses& guesses) {
     }
 }
 
-// The field is continued beyond its ends, whatever is beyond: of two points that are mapped to one, or of their
-// continuations, there is always a third that is turned over.
+// Mark the samples that folded cells may be mapped to, counting the continuation of the field beyond its ends: two
+// preimages imply a third, folded one.
 template <int D, int N>
 void mark_folds(const Inversion& job) {
     const Sampled& k = job.field;
@@ -257,7 +257,7 @@ void mark_folds(const Inversion& job) {
 template <int D>
 void invert_all(const Inversion& job) {
     job.field.order == 1 ? mark_folds<D, 2>(job) : mark_folds<D, 4>(job);
-    constexpr int BLOCK = 32;  // rows that are solved in order, each from the one before
+    constexpr int BLOCK = 32;  // rows that are solved in order, each with guesses from the one before
     const int down = (job.size[1] + BLOCK - 1) / BLOCK;
     parallel(down * job.size[2], [&](int item, int) {
         Guesses guesses(job.size[0], D);
@@ -287,12 +287,12 @@ void invert_field(const Field& field, const Doubles& grid, const Doubles& back, 
     unlocked([&] { n == 2 ? invert_all<2>(job) : invert_all<3>(job); });
 }
 
-// The cells of a field, (size - 1 along each axis), in which it may fold: 1 where the determinant is not known to be
-// above 0 everywhere, after all cuts.
+// Set the cells of a field (size - 1 along each axis) in which it may fold to 1: those in which the determinant is not
+// proved to be above 0 after all cuts.
 template <int D, int N>
 void find_cells(const Sampled& k, uint8_t* cells, const int* shape) {
     each_bad_cell<D, N>(k, false, [&](const int* at, const Patch<D, N>& p, bool turned) {
-        auto bad = [](auto&& self, const Patch<D, N>& p, int cuts) -> bool {  // of one that is not surely upright
+        auto bad = [](auto&& self, const Patch<D, N>& p, int cuts) -> bool {  // for a part that is not proved upright
             if (cuts == CUTS + 1 || turned_at_corner(p)) return true;
             const Halves<D, N> halves(p);
             for (int which = 0; which < 1 << D; which++) {

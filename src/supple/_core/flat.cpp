@@ -1,4 +1,4 @@
-// What other compilers are told of the core: maps in one block of memory, and constants.
+// Data for kernels that other compilers compile: maps in one block of memory, and constants.
 #include <nanobind/stl/string.h>
 
 #include "composites.hpp"
@@ -7,12 +7,12 @@
 namespace supple {
 namespace {
 
-// A block of memory that is to lie at an address, and grows.
+// A growing block of memory that will be copied to a given address.
 class Block {
 public:
     explicit Block(uint64_t base) : base(base) {}
 
-    // Make room for n values, and return where they will be; they are copied from `from`, if it is not null.
+    // Make room for n values, copied from `from` unless it is null, and return their future address.
     template <class T>
     T* put(const T* from, size_t n) {
         size_t at = (bytes.size() + 15) / 16 * 16;
@@ -105,7 +105,7 @@ void bind_flat(nb::module_& m) {
     constants["LONGEST"] = (double)LONGEST;
     constants["QUARTIC"] = (double)QUARTIC;
     constants["SINE"] = (double)SINE;
-    m.attr("constants") = constants;  // of the shaders, too
+    m.attr("constants") = constants;  // shaders use them, too
 }
 
 }  // namespace supple

@@ -1,10 +1,10 @@
 // Where a sampled field folds: the cells of its grid in which the determinant of I + ∂w/∂i may not be above 0, and the
-// samples of another grid that what folds may be mapped to.
+// samples of another grid that folded parts may be mapped to.
 //
 // Within a cell, i + w(i) is a polynomial in Bézier form: of degree 1 or 3 along each axis. It lies in the hull of its
 // control points, and its derivatives in that of their differences. So the determinant of a cell is bounded from below
-// by the ranges of nine numbers; where that does not suffice, of a linear cell by the control points of the determinant
-// itself, and at last the cell is cut in halves.
+// by the ranges of nine derivatives; if that does not suffice, in a linear cell, by the control points of the
+// determinant itself; and at last, the cell is cut in halves.
 #pragma once
 #include <algorithm>
 #include <functional>
@@ -28,7 +28,7 @@ inline void each_line(int step, F f) {
         for (int inner = 0; inner < step; inner++) f(outer * step * N + inner);
 }
 
-// Whether the determinant is above 0 for all matrices between low and high, as far as this is quickly known; [b][a].
+// Whether the determinant is proved to be above 0, by quick tests, for all matrices between low and high; [b][a].
 template <int D, class V>
 INLINE typename Masked<V>::type surely_above_0(const V (*low)[D], const V (*high)[D]) {
     typedef typename Masked<V>::type M;
@@ -39,7 +39,7 @@ INLINE typename Masked<V>::type surely_above_0(const V (*low)[D], const V (*high
             off[b][a] = 0.5 * (high[b][a] - low[b][a]);
             size[b][a] = magnitude(mid[b][a]);
         }
-    M dominant = mid[0][0] == mid[0][0];  // by rows, which is quick, and enough for what bends little
+    M dominant = mid[0][0] == mid[0][0];  // diagonal dominance, by rows: quick, and enough for fields that bend little
     for (int a = 0; a < D; a++) {
         V own = low[a][a];
         for (int b = 0; b < D; b++)
@@ -47,7 +47,7 @@ INLINE typename Masked<V>::type surely_above_0(const V (*low)[D], const V (*high
         dominant = both(dominant, own > 1e-9);
     }
     if (!any(without(mid[0][0] == mid[0][0], dominant))) return dominant;
-    // Multilinear in its columns: bound every term that has a deviation.
+    // The determinant is multilinear in its columns: bound every term with a deviation.
     auto permanent = [](const V* x, const V* y, const V* z) INLINE_LAMBDA -> V {
         if constexpr (D == 2) return x[0] * y[1] + x[1] * y[0];
         return x[0] * (y[1] * z[2] + y[2] * z[1]) + x[1] * (y[0] * z[2] + y[2] * z[0]) +
@@ -78,12 +78,12 @@ INLINE typename Masked<V>::type surely_above_0(const V (*low)[D], const V (*high
     return either(dominant, bound > 1e-12 * (1.0 + scale));
 }
 
-// The sign of the determinant of a linear patch, or 0 if its control points, of degree D - 1 along each axis, differ in
-// it.
+// The sign of the determinant of a linear patch, or 0 if the control points of the determinant, of degree D - 1 along
+// each axis, differ in sign.
 template <int D>
 NOINLINE int sign_of_determinant(const Patch<D, 2>& p) {
     constexpr int SIDES = 1 << (D - 1), COUNT = D == 3 ? 27 : 4;
-    double slope[D][SIDES][D];  // ∂/∂b at the corners of the other axes, by their bits in order
+    double slope[D][SIDES][D];  // ∂/∂b at the corners of the other axes, which the bits of the index select
     for (int b = 0; b < D; b++)
         for (int side = 0; side < SIDES; side++) {
             const int below = side & ((1 << b) - 1), corner = below | (side - below) << 1;
@@ -104,7 +104,7 @@ NOINLINE int sign_of_determinant(const Patch<D, 2>& p) {
                 const double w[3] = {u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]};
                 for (int k = 0; k < SIDES; k++) {
                     const double* t = slope[2][k];
-                    // Along x there are the bits of the second and the third, along y of the first and third, …
+                    // The bits along x are those of j and k, along y those of i and k, along z those of i and j.
                     const int x = (j & 1) + (k & 1), y = (i & 1) + (k >> 1), z = (i >> 1) + (j >> 1);
                     sum[x * PLACE[0] + y * PLACE[1] + z * PLACE[2]] += w[0] * t[0] + w[1] * t[1] + w[2] * t[2];
                     scale = std::max(scale, fabs(w[0] * t[0]) + fabs(w[1] * t[1]) + fabs(w[2] * t[2]));
@@ -120,7 +120,7 @@ NOINLINE int sign_of_determinant(const Patch<D, 2>& p) {
     return low > rounding ? 1 : high < -rounding ? -1 : 0;
 }
 
-// The sign of the determinant of the derivatives in all of a patch, or 0 if it is not known.
+// The sign of the determinant of the derivatives in all of a patch, or 0 if it is not proved.
 template <int D, int N>
 NOINLINE int sign_of(const Patch<D, N>& p) {
     double low[D][D], high[D][D];  // [b][a]: ∂a/∂b
@@ -137,7 +137,7 @@ NOINLINE int sign_of(const Patch<D, N>& p) {
                 }
             });
         }
-    // Along an axis, all derivatives are the differences of control points times N - 1.
+    // All derivatives along an axis are differences of control points, times N - 1.
     if (surely_above_0<D, double>(low, high)) return 1;
     if constexpr (N == 2)
         return sign_of_determinant(p);
@@ -145,7 +145,7 @@ NOINLINE int sign_of(const Patch<D, N>& p) {
         return 0;
 }
 
-// Whether the determinant of the derivatives is not above 0 at a corner of a patch, which is quickly known.
+// Whether the determinant of the derivatives is not above 0 at a corner of a patch: a quick test.
 template <int D, int N>
 NOINLINE bool turned_at_corner(const Patch<D, N>& p) {
     for (int which = 0; which < 1 << D; which++) {
@@ -162,13 +162,13 @@ NOINLINE bool turned_at_corner(const Patch<D, N>& p) {
     return false;
 }
 
-// A patch that is cut in halves along each axis: the control points of its 2^D parts, which share those between them.
+// The control points of the 2^D parts of a patch that is halved along each axis; neighbours share points.
 template <int D, int N>
 struct Halves {
     static constexpr int SIDE = 2 * N - 1, COUNT = D == 3 ? SIDE * SIDE * SIDE : SIDE * SIDE;
     double c[D][COUNT];
 
-    // `from` and `to` have lines along the axes not yet cut, and then SIDE points along those that are.
+    // `from` and `to` have whole lines along axes that are not halved yet, and SIDE points along the others.
     explicit Halves(const Patch<D, N>& p) {
         for (int a = 0; a < D; a++) {
             double held[2][COUNT];
@@ -193,7 +193,7 @@ struct Halves {
         }
     }
 
-    // Where control point n of a part stands.
+    // The index of control point n of a part.
     static constexpr int place(int which, int n) {
         int at = 0;
         for (int b = 0, side = 1; b < D; b++, side *= SIDE, n /= N) at += (n % N + (which >> b & 1) * (N - 1)) * side;
@@ -245,7 +245,7 @@ NOINLINE Patch<D, N> patch_of(const Sampled& k, const int* at) {
                     v[2 * step] = (c1 + 2 * c2) / 3;
                     v[3 * step] = (c1 + 4 * c2 + c3) / 6;
                 }
-                // Beyond the ends, all is as at the end. On an axis of one sample, too.
+                // Beyond the ends, and along an axis of one sample, everything is constant.
                 if (before)
                     for (int i = 1; i < N; i++) v[i * step] = v[0];
                 else if (after && k.size[b] > 1)
@@ -256,25 +256,25 @@ NOINLINE Patch<D, N> patch_of(const Sampled& k, const int* at) {
     return p;
 }
 
-constexpr int CUTS = 3;       // times that a cell is cut, at most
-constexpr double FINE = 0.5;  // of a sample: the extent of a part below which it is not cut
+constexpr int CUTS = 3;       // the largest number of times that a cell is halved
+constexpr double FINE = 0.5;  // samples: a part with a smaller extent is not halved
 
-// The range of samples of another grid that a part of a folded cell may be mapped to; and the extent of that part.
+// The range of samples of another grid that a part of a folded cell may be mapped to; and the extent of its image.
 template <int D>
 struct Spot {
     int low[D], high[D];
     double extent;
 };
 
-// Find the samples of a grid of some size that what folds may be mapped to, by the affine map `out`: mark(spot). Where
-// all(spot) is true, all of it is marked already.
+// Call mark(spot) for the samples, on a grid of a size, that folded parts may be mapped to; `out` is the affine map to
+// that grid. all(spot) says whether all of a spot is marked already.
 template <int D, int N, class All, class Mark>
 class Folds {
 public:
     Folds(const double (*out)[4], const int* size, All all, Mark mark) : out(out), size(size), all(all), mark(mark) {}
 
-    // A patch that is not surely upright, but may be surely turned over. Ends of the field are continued without an
-    // end.
+    // Mark the images of a patch that is not proved upright; `turned`: it is proved to be reversed. Cells beyond the
+    // ends of the field are continued without limit.
     void find(const Patch<D, N>& p, bool turned, const bool* low_end, const bool* high_end) {
         this->low_end = low_end;
         this->high_end = high_end;
@@ -301,7 +301,7 @@ private:
         }
     }
 
-    // Whether there are samples to mark in the hull of some points.
+    // Whether the hull of some points has samples that are still to be marked.
     template <int COUNT, class Place>
     INLINE bool spot_of(const double (&q)[D][COUNT], Place place, Spot<D>& spot) const {
         spot.extent = 0;
@@ -320,7 +320,7 @@ private:
                 }
             spot.low[a] = (int)std::clamp(ceil(low - 1e-6), 0.0, (double)size[a]);
             spot.high[a] = (int)std::clamp(floor(high + 1e-6) + 1, 0.0, (double)size[a]);
-            if (spot.low[a] >= spot.high[a]) return false;  // between the samples, or beyond the result's grid
+            if (spot.low[a] >= spot.high[a]) return false;  // between samples, or outside of the grid
         }
         return !all(spot);
     }
@@ -340,15 +340,15 @@ private:
     }
 };
 
-// Rows of w about a line of cells, kept while y ascends, by which most cells are known not to fold.
+// Cached rows of w around a line of cells, reused as y grows, by which most cells are proved not to fold.
 template <int D, int N>
 class Lines {
 public:
     explicit Lines(const Sampled& k)
         : k(k), n(k.size[0]), padded(n + LANES + N), held((size_t)N * DEEP * D * padded), sure(padded) {}
 
-    // For each cell of a line, whether the map is surely upright in all of it: its derivatives lie between the
-    // differences of the samples around. Not for cells that depend on samples beyond an end.
+    // For each cell of a line, whether the map is proved upright in all of it: its derivatives are within the range of
+    // the differences of the samples around. Not for cells that depend on samples beyond an end.
     const std::vector<char>& upright(int y, int z) {
         std::fill(sure.begin(), sure.end(), 0);
         const int first[3] = {LEFT, y, z};
@@ -395,7 +395,7 @@ private:
     static constexpr int DEEP = D == 3 ? N : 1, LEFT = N / 2 - 1;
     const Sampled& k;
     const int n, padded;
-    int at_z = -1, next_y = 0;  // the plane, and the row after the last that is held
+    int at_z = -1, next_y = 0;  // the plane, and the row after the last cached one
     std::vector<double> held;   // [y, as a ring][z][component][x]
     std::vector<char> sure;
 
@@ -421,8 +421,8 @@ private:
     void load(int y, int z) { k.wide ? read<double>(y, z) : read<float>(y, z); }
 };
 
-// Visit the cells of a field in which it may fold: visit(cell, patch, whether all of it surely does), with those beyond
-// its ends if `ends`.
+// Call visit(cell, patch, reversed) for the cells of a field in which it may fold; `reversed`: all of the cell is
+// proved to be. With `ends`, include the cells beyond its ends.
 template <int D, int N>
 void each_bad_cell(const Sampled& k, bool ends,
                    const std::function<void(const int* at, const Patch<D, N>&, bool turned)>& visit) {

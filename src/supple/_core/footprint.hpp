@@ -1,4 +1,4 @@
-// The residual footprint of a pixel, and where it is sampled.
+// The residual footprint of a pixel, and the sample points that average it.
 //
 // The footprint (docs/sampling.md). A sample is already an average over one sample. With M = ∂p/∂q, S = MMᵀ and its
 // eigenvalues λ±, the remaining average is that of the cubic interpolant over a box of variance Σ,
@@ -6,8 +6,8 @@
 //     12 Σ = ½(α + β) I + (α - β)/(λ₊ - λ₋) (S - ½(λ₊ + λ₋) I),     α, β = g max(λ± - 1, 0),
 //
 // whose second moments four cubic samples at (±√Σxx, ±√Σyy), weighted (1 ± ρ)/4, have exactly: a `spot`. As products
-// along the axes that is one window of 5 × 5. A larger footprint is a row of spots along its major axis, in the pyramid
-// level of its minor axis, blended with the next number of spots, and the next level.
+// along the axes, these are one window of 5 × 5. A larger footprint is a row of spots along its major axis, in the
+// level of a pyramid for its minor axis, blended with the next number of spots and the next level.
 //
 // Nothing here reads samples: `Levels` do, with a value P for each pixel. It uses no std::, allocation or exceptions,
 // so that compilers for GPUs accept this file.
@@ -19,11 +19,11 @@ namespace supple {
 enum Filter { NEAREST, LINEAR, CUBIC, AUTO };
 enum Rule { EDGE, CONSTANT, REFLECT };
 
-constexpr float KEYS = -0.75f;            // of the cubic in space
-constexpr float LOW = 0.1f, RISE = 0.2f;  // of α: no average below, all of it above their sum
+constexpr float KEYS = -0.75f;            // the parameter a of the cubic in space
+constexpr float LOW = 0.1f, RISE = 0.2f;  // of α: no average below LOW, the full one from LOW + RISE on
 constexpr float NARROW = 1.62f, SQUARE = 3.2f;
-constexpr float WIDEST_SPOT = 0.4999f;  // its half sides: two points of a spot are less than a sample apart
-constexpr float PER_SPOT = 1.7f;  // the largest distance of spots, of which one more fades in over the last quarter
+constexpr float WIDEST_SPOT = 0.4999f;  // half its sides: the points of a spot are less than a sample apart
+constexpr float PER_SPOT = 1.7f;  // the largest distance of spots; one more spot fades in over the last quarter of it
 constexpr float FADES = 0.75f;
 constexpr int MOST_SPOTS = 16;
 constexpr float THICKEST = 3, FLATTEST = 2.99f;  // 12 Σ of a spot along the major axis, and across it
@@ -45,7 +45,7 @@ INLINE int placed(int i, int n, int rule) {
 constexpr float KEYS_POWERS[4][4] = {
     {0, 1, 0, 0}, {KEYS, 0, -KEYS, 0}, {-2 * KEYS, -KEYS - 3, 2 * KEYS + 3, KEYS}, {KEYS, KEYS + 2, -KEYS - 2, -KEYS}};
 
-// The weight of the i-th of them.
+// The weight of the i-th of these samples.
 template <class N>
 INLINE N keys(int i, N f) {
     return N(KEYS_POWERS[0][i]) + f * (N(KEYS_POWERS[1][i]) + f * (N(KEYS_POWERS[2][i]) + f * N(KEYS_POWERS[3][i])));
@@ -60,7 +60,7 @@ INLINE N smooth(N f) {
 template <class N>
 struct Across {
     N first, second;  // their fractions
-    int shift;        // 1 if the right one is a column further
+    int shift;        // 1 if the right one is in the next column
 };
 
 // The footprint of a pixel: its kind, and the spot if one suffices.
@@ -78,13 +78,13 @@ INLINE bool shrinks(float xx, float xy, float yy) {
     return (room < 0) | (e * e + 4 * xy * xy > room * room);
 }
 
-// The footprint S at the source point `whole` + `part`.
+// The footprint of a pixel with S = (xx, xy; xy, yy), at the source point `whole` + `part`.
 INLINE Print print_of(float xx, float xy, float yy, int whole_x, int whole_y, float part_x, float part_y) {
     Print p;
     float h = 0.5f * (xx + yy), e = 0.5f * (xx - yy), d = root(e * e + xy * xy);
     float alpha = h + d - 1, beta = h - d - 1;
     p.kind = alpha <= LOW ? PLAIN : ((alpha < NARROW) & (h - d < SQUARE)) ? SPOT : WIDE;
-    // 12 Σ with its soft start
+    // 12 Σ, with a soft start
     float g = (RISE / (RISE - LOW)) * (alpha - LOW) / (alpha > LOW ? alpha : LOW);
     g = g > 1 ? 1 : g > 0 ? g : 0;
     alpha = g * (alpha > 0 ? alpha : 0);
@@ -96,7 +96,7 @@ INLINE Print print_of(float xx, float xy, float yy, int whole_x, int whole_y, fl
     sy = sy < WIDEST_SPOT ? sy : WIDEST_SPOT;
     float rho = cov / (sx * sy + 1e-12f);
     rho = rho < -1 ? -1 : rho > 1 ? 1 : rho;  // rounding, for a tiny variance
-    // Both points lie in a window of 5 × 5 from the first one's.
+    // Both points are within a window of 5 × 5 that begins at the first one's.
     float x0 = part_x - sx, x1 = part_x + sx, y0 = part_y - sy, y1 = part_y + sy;
     int before_x = x0 < 0, after_x = x1 >= 1, before_y = y0 < 0, after_y = y1 >= 1;
     p.x = whole_x - before_x;
@@ -111,7 +111,7 @@ INLINE Print print_of(float xx, float xy, float yy, int whole_x, int whole_y, fl
     float p0 = outer(u), p1 = inner(u), p2 = inner(1 - u), p3 = outer(1 - u);
     float r0 = outer(v), r1 = inner(v), r2 = inner(1 - v), r3 = outer(1 - v);
     float q0 = lower ? 0 : r0, q1 = lower ? r0 : r1, q2 = lower ? r1 : r2, q3 = lower ? r2 : r3, q4 = lower ? r3 : 0;
-    // (1 ± ρ)/4: of the upper points (p) and the lower ones (q), as halves, since columns are halves too.
+    // (1 ± ρ)/4 for the upper points (p) and the lower ones (q): halves here, as columns have the other half.
     float same = 1 + rho, other = 1 - rho;
     p.left[0] = same * p0 + other * q0;
     p.left[1] = same * p1 + other * q1;
@@ -145,7 +145,7 @@ INLINE P spot(const Level& level, N x, N y, N xx, N xy, N yy) {
     return level.spot((int)x0, (int)y0, Across<N>{x - sx - x0, x + sx - x1, (int)(x1 - x0)}, left, right);
 }
 
-// n spots along the major axis u of a footprint `length` long and √w2 wide.
+// n spots along the major axis u of a footprint with the given length, and the width √w2.
 template <class P, class N, class Level>
 NOINLINE P spots(const Level& level, int n, N x, N y, N ux, N uy, N length, N w2) {
     N l2 = least(length * length / (n * n), N(THICKEST));
@@ -158,8 +158,8 @@ NOINLINE P spots(const Level& level, int n, N x, N y, N ux, N uy, N length, N w2
     return sum * (N(1) / n);
 }
 
-// Any footprint, of S = (xx, xy; xy, yy), at (x, y). `levels.count` levels of a pyramid are above the samples
-// themselves; levels.spots(k, …) are `spots` in the k-th.
+// The average over any footprint, S = (xx, xy; xy, yy), at (x, y). There are `levels.count` levels of a pyramid above
+// the samples; levels.spots(k, …) are `spots` in the k-th level.
 template <class P, class N, class Levels>
 NOINLINE P wide(const Levels& levels, N x, N y, N xx, N xy, N yy) {
     N h = (xx + yy) / 2, e = (xx - yy) / 2, d = root(e * e + xy * xy) + N(1e-12), large = h + d, small = h - d;

@@ -1,4 +1,4 @@
-// What a freeze mask lets through: m(p), from 0 where nothing moves to 1, which multiplies every stroke's displacement.
+// Freeze masks: the factor m(p) of every stroke's displacement, from 0, where nothing moves, to 1.
 //
 // m is a cubic B-spline (C²): m(p) = Σ c_k Π_i B(u_i - k_i), u = (p - first) / step. Its weights are at least 0 and add
 // up to 1, so that m is 0, exactly and with its derivatives, where all coefficients around a point are 0. The outermost
@@ -14,10 +14,10 @@ struct Freeze {
     int size[3];                   // of coefficients along x, y and z: 1, or 8 and more
     double first[3], per_step[3];  // the place of the first, and 1 / step; in physical units
     const float* values;           // (z, y, x)
-    const uint8_t* calm;  // of each cell, from coefficient i to i + 1: cells to the next in which m varies; 0: this one
+    const uint8_t* calm;  // for each cell, from coefficient i to i + 1: the distance in cells to one in which m varies
 };
 
-// The cell of a coordinate, and its part of the way through it.
+// The cell of a coordinate, and the fraction of the way through it.
 INLINE int cell_of(const Freeze& f, int axis, double x, double& part) {
     part = 0;
     if (f.size[axis] == 1) return 0;
@@ -27,14 +27,14 @@ INLINE int cell_of(const Freeze& f, int axis, double x, double& part) {
     return i;
 }
 
-// m at some points, and its derivatives up to ORDER; `smooth`: the cells over which m stays as smooth as it is here.
+// m at some points, and its derivatives up to ORDER; `smooth`: the length over which m varies, in cells.
 template <int D, int ORDER, class V>
 struct Freed {
     V m, slope[D], bend[D][D], smooth;
 };
 
-// The weights of the TAPS samples of a linear or cubic B-spline around a fraction f of the way between the two in the
-// middle, and their derivatives: [order][tap].
+// The weights of the TAPS samples of a linear or cubic B-spline, at the fraction f between the two in the middle, and
+// their derivatives: [order][tap].
 template <int TAPS, class V>
 INLINE void spline_weights(V f, V (*w)[TAPS]) {
     V g = 1.0 - f;
@@ -94,7 +94,7 @@ INLINE void sum_taps(const V (*w)[3][TAPS], int deep, Rows rows, V (*sums)[ORDER
     }
 }
 
-// In the cells `at` of some points, at their `part`.
+// m and its derivatives in the cells `at`, at the fractions `part` of the way through them.
 template <int D, int ORDER, class V>
 NOINLINE void freed_in(const Freeze& f, const int (*at)[D], const V* part, V& m, V* slope, V (*bend)[D]) {
     V w[D][3][4], sums[ORDER + 1][ORDER + 1][ORDER + 1][1] = {};
@@ -155,7 +155,7 @@ INLINE Freed<D, ORDER, V> freed(const Freeze& f, const V* x) {
     return found;
 }
 
-// True if nothing moves at a point.
+// True if a point is frozen: m is 0 in all of its cell.
 template <int D>
 INLINE bool is_frozen(const Freeze& f, const double* x) {
     int64_t cell = 0;

@@ -1,4 +1,4 @@
-// A freeze mask with what is known of it: where it is constant, and bounds of its derivatives in boxes.
+// A freeze mask with the cells where it is constant, and bounds of its derivatives in boxes.
 #pragma once
 #include <algorithm>
 #include <array>
@@ -11,11 +11,11 @@
 
 namespace supple {
 
-// Bounds of the zeroth to third derivatives of something.
+// Bounds of a function and of its first to third derivatives.
 typedef std::array<double, 4> Derivatives;
 
-// Bounds of the derivatives of m up to the third, `along` of them along z: x and y are apart from z, as in a clip it is
-// time, and its step another.
+// Bounds of the derivatives of m up to the third, `along` of them along z. Derivatives along z are apart from those
+// along x and y, as z is time in a clip, with another step.
 struct MaskBounds {
     float all[10];  // by order
     float& of(int across, int along) { return all[(across + along) * (across + along + 1) / 2 + along]; }
@@ -25,15 +25,15 @@ struct MaskBounds {
     bool is_level() const { return all[1] == 0 && all[2] == 0; }
 };
 
-// Replace 255 by the distance to the nearest 0 of a grid, the largest of those along the axes, or leave it if that is
-// farther: by a sweep from either end, each from the finished neighbours.
+// Replace 255 by the distance to the nearest 0 of a grid (the largest of those along the axes), or leave it if that is
+// more: by one sweep from either end, each from finished neighbours.
 inline void to_distances(const int* n, uint8_t* out) {
     const int64_t total = (int64_t)n[0] * n[1] * n[2];
     for (int way : {1, -1})
         for (int64_t i = 0; i < total; i++) {
             const int64_t at = way > 0 ? i : total - 1 - i;
             const int a = int(at % n[0]), b = int(at / n[0] % n[1]), c = int(at / n[0] / n[1]);
-            for (int other = 0; other < 13 && out[at] > 1; other++) {  // of 27, in the order of memory
+            for (int other = 0; other < 13 && out[at] > 1; other++) {  // the 13 of 27 that are earlier in memory
                 const int x = a + way * (other % 3 - 1), y = b + way * (other / 3 % 3 - 1),
                           z = c + way * (other / 9 - 1);
                 if (x < 0 || x >= n[0] || y < 0 || y >= n[1] || z < 0 || z >= n[2]) continue;
@@ -44,7 +44,7 @@ inline void to_distances(const int* n, uint8_t* out) {
 
 class Frozen : public Freeze {
 public:
-    // Of coefficients (nz, ny, nx), from 0 to 1. Along an axis of several, the outermost four are equal.
+    // From coefficients (nz, ny, nx), from 0 to 1. The outermost four along an axis of several are equal.
     Frozen(const float* from, const int* shape, const double* first, const double* step) {
         const size_t count = (size_t)shape[0] * shape[1] * shape[2];
         held.assign(from, from + count);
@@ -75,12 +75,12 @@ public:
     }
     Frozen(const Frozen&) = delete;
 
-    std::vector<const Frozen*> masks;  // if it stands for several: that of all strokes, or null, and those of some
-    // Of freezes between strokes, in order: the row before which each stands, and its mask, or null.
+    std::vector<const Frozen*> masks;  // if it stands for several: the common one or null, then those with numbers
+    // Freezes between strokes, in order: the row before which each stands, and its mask, or null.
     std::vector<std::pair<int, const Frozen*>> freezes;
     double low[3], high[3];  // a box around all that is frozen, which may be empty
 
-    // Of m in a box.
+    // Bounds of m and its derivatives in a box.
     MaskBounds bounds_in(const double* low, const double* high) const {
         int from[3], to[3], level = 0;
         double part;
@@ -96,11 +96,11 @@ public:
                 for (int x = from[0] >> level; x <= to[0] >> level; x++) raise(found, known.of(x, y, z));
         return found;
     }
-    // Vectors whose hull has ∇m of all points of a box within one cell, and their number; 0 if it is in several.
+    // Vectors whose hull contains ∇m at all points of a box, and their number; 0 if the box is in several cells.
     //
-    // A polynomial is in the hull of its Bézier points, of a common degree for all components of the vector.
+    // A polynomial is in the hull of its Bézier points, which here have one degree for all components of the vector.
     int gradients_in(const double* low, const double* high, double (*found)[3]) const {
-        double w[2][3][4][4] = {};  // of values, and of derivatives
+        double w[2][3][4][4] = {};  // for values, and for derivatives
         int from[3] = {}, n[3];
         for (int i = 0; i < 3; i++) {
             n[i] = size[i] > 1 ? 4 : 1;
@@ -144,7 +144,7 @@ public:
         }
         return count;
     }
-    // The knot nearest to a coordinate; itself along an axis without.
+    // The knot nearest to a coordinate; the coordinate itself along an axis without knots.
     double knot(int axis, double x) const {
         if (size[axis] == 1) return x;
         return first[axis] + std::round((x - first[axis]) * per_step[axis]) / per_step[axis];
@@ -165,7 +165,7 @@ private:
         const MaskBounds& of(int x, int y, int z) const { return bounds[((size_t)z * size[1] + y) * size[0] + x]; }
     };
 
-    // Of the coefficients around a cell: the weights in the Bézier points of a part [a, b] of it, and in those of its
+    // The weights of the coefficients around a cell in the Bézier points of a part [a, b] of it, and in those of its
     // derivative, raised to the same degree.
     static void bezier_weights(double a, double b, double per_step, double (*w)[4], double (*dw)[4]) {
         for (int c = 0; c < 4; c++)
@@ -177,7 +177,7 @@ private:
                 for (int j = 0; j < 2; j++) d[j] = ((j + 1 - t[1]) * d[j] + (t[1] - j + 1) * d[j + 1]) / 2;
                 w[p][c] = (1 - t[2]) * d[0] + t[2] * d[1];
             }
-        if (!(b - a > 1e-9)) {  // at a point, the slope is that of the whole cell there
+        if (!(b - a > 1e-9)) {  // a single point: use the slope of the whole cell there
             double weights[3][4];
             spline_weights<4>(a, weights);
             for (int p = 0; p < 4; p++)
@@ -195,7 +195,7 @@ private:
         }
     }
 
-    // Beyond the outermost cells, m is constant.
+    // Add a cell to the frozen box; beyond the outermost cells, m is constant.
     void enclose(const std::array<int, 3>& cell) {
         for (int i = 0; i < 3; i++) {
             const double from = first[i] + cell[i] / per_step[i], far = std::numeric_limits<double>::infinity();
@@ -208,8 +208,8 @@ private:
         for (int i = 0; i < 10; i++) a.all[i] = std::max(a.all[i], b.all[i]);
     }
 
-    // In a cell: a derivative of a spline is the spline, one degree lower, of the differences of its coefficients, and
-    // no larger than the largest of those around.
+    // The bounds in a cell: a derivative of a spline is the spline, one degree lower, of the differences of its
+    // coefficients, and at most the largest of those around.
     MaskBounds bounds_of(int x, int y, int z) const {
         const int at[3] = {x, y, z};
         int count[3], from[3];
@@ -250,7 +250,7 @@ private:
                         for (int j = 0; j < count[1] - q; j++)
                             for (int i = 0; i < count[0] - p; i++) largest = std::max(largest, std::abs(e[k][j][i]));
                     largest *= std::pow(per_step[0], p) * std::pow(per_step[1], q) * std::pow(per_step[2], r);
-                    // As often as it occurs in the form of all derivatives of its order.
+                    // Times its multiplicity among all derivatives of its order.
                     sums[p + q][r] += WAYS[p + q] / (WAYS[p] * WAYS[q]) * largest * largest;
                 }
             }
@@ -260,7 +260,7 @@ private:
         found.of(1, 0) = std::max(found.of(1, 0), 1e-37f);
         return found;
     }
-    // Replace coefficients by their differences along an axis, of a stride and so many.
+    // Replace `left` coefficients by their differences along an axis with a stride.
     static void subtract(double (*c)[4][4], int stride, int left) {
         double* at = c[0][0];
         for (int i = 0; i < 64; i++)

@@ -1,4 +1,4 @@
-"""The choice of the core's module: one is compiled for each instruction set."""
+"""The choice of the core's build: there is one for each instruction set."""
 
 from __future__ import annotations
 

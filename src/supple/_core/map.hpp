@@ -4,7 +4,7 @@
 
 namespace supple {
 
-// Strokes, or a composite; and the freeze mask that they are subject to. All pointers lead into its block.
+// Strokes, or a composite; and their freeze mask. All pointers are to addresses in the map's block.
 struct Map {
     Chain chain;
     const Composite* composite;  // or null

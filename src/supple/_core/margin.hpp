@@ -1,9 +1,8 @@
-// The margin of strokes that act at once to folding: the smallest eigenvalue of a matrix field, bounded over all
-// points.
+// The margin to folding of strokes that act at once: the least eigenvalue of a matrix field, bounded over all points.
 //
-// Let S = sym(J_β), of the sum of some strokes (`stroke.hpp`), and μ the minimum of λ_min(S) over the domain. Branch
-// and bound finds it, the box with the lowest bound first; no end of the border goes across a box. In one of widths h,
-// S differs from the multilinear interpolant of its values at the corners v by Σ_k h_k²/8 |∂_kk S| at most. Since the
+// Let S = sym(J_β), for the sum of some strokes (`stroke.hpp`), and μ the minimum of λ_min(S) over the domain. Branch
+// and bound finds it, starting with the box with the lowest bound; no box crosses an end of the border. In a box of
+// widths h, S differs from the multilinear interpolant of its values at the corners v by at most Σ_k h_k²/8 |∂_kk S|.
 // interpolant is a mean of the S(v), and λ_min is concave,
 //
 //     λ_min(S(p)) ≥ min_v λ_min(S(v) - D),   D diagonal with  xᵀ D x ≥ Σ_k h_k²/8 |xᵀ ∂_kk S(p) x|.          (1)
@@ -23,27 +22,27 @@
 //     ρ^-k f - q ρ^-(k+2) [ |r|² f - 2ω (r·f) r ]                                                           (4)
 //     = (1-q) ρ^-k f + q e ρ^-(k+2) f + 2ωq ρ^-(k+2) (r·f) r,    k = 1, 3, 5.                               (5)
 //
-// Bounds of the terms, one by one, lose little in (4) near the pivot, and in (5) far from it. The n-th derivative of
-// ρ^-k is a Gegenbauer polynomial of a cosine times |r|/ρ, over ρ^(k+n). The brackets, that of (4) a mean of those with
-// 2ω = 0 and 1, and (r·f) r times ρ^-(k+2) have derivatives along a unit vector that are symmetric matrices in its
-// plane with r: polynomials of |r|/ρ and the angle, whose terms cancel, so that bounds one by one would be up to 25
-// times too large. Their norms were maximized over the angle numerically, and `bracket_bounds` is above them by 0.1 %
-// or more, but where it is their tangent at the pivot.
+// Bounds of single terms lose little in (4) near the pivot, and in (5) far from it. The n-th derivative of ρ^-k is a
+// Gegenbauer polynomial of a cosine times |r|/ρ, over ρ^(k+n). The bracket of (4), a mean of those with 2ω = 0 and 1,
+// and (r·f) r, both times ρ^-(k+2), have derivatives along a unit vector that are symmetric matrices in its plane with
+// r: polynomials of |r|/ρ and the angle. Their terms cancel, so that bounds of single terms would be up to 25 times too
+// large. Their norms were maximized over the angle numerically; `bracket_bounds` exceeds them by at least 0.1 %, except
+// at the pivot, where it is tangent to them.
 //
 // The affine brushes. The derivatives of M r are at most |M| |r| and |M|, those of (rᵀ M r) r at most 1, 3, 6 and 6
-// times |M| |r|³, |M| |r|², |M| |r| and |M|; products with powers of ρ follow by Leibniz. Bounds of a sum are sums.
+// times |M| |r|³, |M| |r|², |M| |r| and |M|; Leibniz' rule bounds products with powers of ρ. Bounds of a sum are sums.
 //
 // A twist. With Φ_n the bounds of φ, those of R(φ) - I are 2 or Φ₀, Φ₁, Φ₂ + Φ₁² and Φ₃ + 3 Φ₁ Φ₂ + Φ₁³; and r has the
 // first derivative alone.
 //
-// A freeze mask multiplies K, too; of a spline, the coefficients' differences bound the derivatives (`frozen.hpp`).
+// A freeze mask multiplies K, too; the differences of its coefficients bound its derivatives (`frozen.hpp`).
 //
 // Where m varies much faster than K, (1) needs many boxes. Within one of its cells, with K' = β∘K at the middle, up to
 // δ from that elsewhere,
 //
 //     λ_min(S) ≥ min ½ (K'·g - |K'| |g|) - δ max |g| - max m (max β N₁ + max |β'| N₀),                      (6)
 //
-// over vectors g whose hull has all ∇m in the box: λ_min is concave, so that the minimum is at one of them.
+// over vectors g whose hull contains ∇m everywhere in the box: λ_min is concave, so the minimum is at one of them.
 //
 // The reach multiplies K, or φ, by m = 1 - 10t³ + 15t⁴ - 6t⁵, t = |r|/R. Its first three derivatives are at most 30 t²
 // (1-t)², 10/√3 and 60, over R, R² and R³; those of the product follow by Leibniz. The third jumps at t = 0 and 1, but
@@ -56,9 +55,9 @@
 // and for a unit vector u at an angle of cosine c to r, h = g/ρ, r' has the derivatives 2h'c u + (h' + (ρh'' - h') c²)
 // r/ρ and 3 (h'/ρ + (h'' - h'/ρ) c²) u + (3c (1-c²) (h'' - h'/ρ) + c³ ρ h''') r/ρ, in which c (1-c²) ≤ 0.385.
 //
-// Axes along which no stroke of a group moves anything (a clip's time, or its plane) play no part: T is one-to-one if
-// it is along the others, wherever it is along these. Lengths are in the metric of the strokes, which is not stretched
-// here.
+// Axes along which no stroke of a group moves anything (a clip's time, or its plane) are left out: T is one-to-one if
+// it is so along the others, for all coordinates along these. Lengths are in the metric of the strokes, without a
+// stretch.
 //
 // Bounds are reduced by the rounding error.
 #pragma once
@@ -79,23 +78,23 @@ constexpr double INFINITE = std::numeric_limits<double>::infinity();
 // At a double root, the cosine formula for a cubic's roots loses half of the digits.
 constexpr double CUBIC = 1e-7;
 constexpr double TINY = 1e-150;
-constexpr double HUGE_BOUND = 1e100;  // an infinite bound whose square is still finite
+constexpr double HUGE_BOUND = 1e100;  // in place of an infinite bound: its square is finite
 constexpr int MOST_BOXES = 200'000;   // the largest number of boxes
 constexpr Axis FREE[3] = {{0, 1, -1, 1, QUARTIC}, {0, 1, -1, 1, QUARTIC}, {0, 1, -1, 1, QUARTIC}};
 
 struct Region {
     double low[3], high[3];
-    double bound = -INFINITE;  // λ_min(S) is not below it
+    double bound = -INFINITE;  // a lower bound of λ_min(S)
 };
 
-// Of μ, and a point where λ_min(S) is the upper one.
+// Bounds of μ, and the point where λ_min(S) is the upper one.
 struct Bounds {
     double lower = 0, upper = 0, point[3] = {};
 };
 
 // ---- bounds of derivatives in a box --------------------------------------------------------------------------------
 
-// Of a product, by Leibniz' rule.
+// Bounds of a product, by Leibniz' rule.
 inline Derivatives product(const Derivatives& a, const Derivatives& b) {
     return {
         a[0] * b[0],
@@ -105,7 +104,7 @@ inline Derivatives product(const Derivatives& a, const Derivatives& b) {
     };
 }
 
-// Of β between two points of an axis, both in the border or both outside of it.
+// Bounds of β between two points of an axis, both within the border or both beyond it.
 inline Derivatives fade_bounds(const Axis& axis, double low, double high) {
     if (axis.extent() == 0) return {};  // no points along it that could fold
     const auto [shallow, deep] = std::minmax({depth(low, axis), depth(high, axis)});
@@ -124,13 +123,13 @@ inline Derivatives fade_bounds(const Axis& axis, double low, double high) {
     return {value, slope, 12 * t * (1 - t) / sigma2, 12 * third / (sigma2 * axis.sigma)};
 }
 
-// Of ρ^-k, times ρ^k, ρ^(k+1) and so on, where |r|/ρ is at most x.
+// Bounds of ρ^-k, times ρ^k, ρ^(k+1) and so on, where |r|/ρ is at most x.
 inline Derivatives power_bounds(double k, double x) {
     const double c = k * (k + 2);
     return {1, k * x, std::max(k, c * x * x - k), c * std::max(2 / std::sqrt(k + 4), x * ((k + 4) * x * x - 3))};
 }
 
-// Of what (4) and (5) have with ρ^-(k+2), times ρ^k, ρ^(k+1) and so on, where |r|/ρ is at most x.
+// Bounds of the factors of ρ^-(k+2) in (4) and (5), times ρ^k, ρ^(k+1) and so on, where |r|/ρ is at most x.
 inline Derivatives bracket_bounds(double k, double x) {
     static constexpr double LEVEL[3][3] = {{0.67, 2.002, 7.5}, {0.56, 2.34, 10.5}, {0.475, 2.73, 15.4}};
     static constexpr double RISE[3][3] = {{1.06, 1.07, 2.43}, {3.05, 9.7, 49.8}, {9.9, 28.9, 195.5}};
@@ -144,7 +143,7 @@ inline Derivatives bracket_bounds(double k, double x) {
     };
 }
 
-// Of K without reach, from equations (4) and (5), where near² ≤ |r|² ≤ far².
+// Bounds of K for a grab without reach, from (4) and (5), where near² ≤ |r|² ≤ far².
 inline Derivatives grab_bounds(const Stroke& stroke, double near2, double far2) {
     const double* e = stroke.radius2;
     const int last = (int)stroke.terms - 1;
@@ -164,7 +163,7 @@ inline Derivatives grab_bounds(const Stroke& stroke, double near2, double far2) 
     return found;
 }
 
-// Of the factor of the reach, likewise.
+// Bounds of the reach's factor m, likewise.
 inline Derivatives support_bounds(const Stroke& stroke, double near2, double far2) {
     const double i = stroke.per_reach, a = i * std::sqrt(near2), b = i * std::sqrt(far2), t = std::clamp(0.5, a, b);
     const double m = (1 - a) * (1 - a) * (1 - a) * (1 + a * (3 + 6 * a));
@@ -172,7 +171,7 @@ inline Derivatives support_bounds(const Stroke& stroke, double near2, double far
                   : Derivatives{m, 30 * i * t * t * (1 - t) * (1 - t), 5.7736 * i * i, 60 * i * i * i};
 }
 
-// Of a twist.
+// Bounds of K for a twist, likewise.
 inline Derivatives twist_bounds(const Stroke& stroke, double near2, double far2) {
     const double e = stroke.radius2[0], rho2 = near2 + e, far = std::sqrt(far2), x = std::sqrt(far2 / (far2 + e));
     const Derivatives third = power_bounds(3, x), fifth = power_bounds(5, x);
@@ -188,7 +187,7 @@ inline Derivatives twist_bounds(const Stroke& stroke, double near2, double far2)
     return product(turned, {far, 1, 0, 0});
 }
 
-// Of an affine brush without reach, likewise.
+// Bounds of K for an affine brush without reach, likewise.
 inline Derivatives affine_bounds(const Stroke& stroke, double near2, double far2) {
     const double e = stroke.radius2[0], rho2 = near2 + e, x = std::sqrt(far2 / (far2 + e));
     const Derivatives third = power_bounds(3, x), fifth = power_bounds(5, x);
@@ -210,14 +209,14 @@ inline Derivatives affine_bounds(const Stroke& stroke, double near2, double far2
     return found;
 }
 
-// Of K: the N_n.
+// Bounds of K: the N_n.
 inline Derivatives displacement_bounds(const Stroke& stroke, double near2, double far2) {
     if (stroke.turns()) return twist_bounds(stroke, near2, far2);
     const Derivatives n = stroke.power == 3 ? affine_bounds(stroke, near2, far2) : grab_bounds(stroke, near2, far2);
     return stroke.per_reach == 0 ? n : product(support_bounds(stroke, near2, far2), n);
 }
 
-// Of K with a plateau, by (7), where near² ≤ |r|² ≤ far².
+// Bounds of K with a plateau, by (7), where near² ≤ |r|² ≤ far².
 inline Derivatives eased_bounds(const Stroke& stroke, double near2, double far2) {
     const double near = std::max(std::sqrt(near2), stroke.flat), far = std::max(std::sqrt(far2), near);
     const double x = near - stroke.flat, w = 0.5 * stroke.flat, end = far - stroke.flat + w;
@@ -238,7 +237,7 @@ struct Symmetric {
     V xx, yy, zz, xy, xz, yz;
 };
 
-// S at points, of some strokes of a table, for the axes along which points move.
+// S of a group of strokes at points, for the axes along which points move.
 inline Symmetric<Lanes> strain(const Chain& group, const Axis* axes, const bool* moving, const Lanes* x) {
     Lanes beta[3][2], J[3][3] = {};
     for (int i = 0; i < 3; i++) fade<1>(x[i], axes[i], beta[i]);
@@ -270,7 +269,7 @@ inline double smallest_eigenvalue(const Symmetric<double>& s, double slack) {
     return mean + p * (2 * std::cos(angle + 2 * std::numbers::pi / 3) + slack);
 }
 
-// True if λ_min ≥ level, or within rounding, by Cholesky's factors: much faster than λ_min itself.
+// True if λ_min ≥ level, up to rounding, by a Cholesky factorization: much faster than λ_min itself.
 inline bool is_at_least(const Symmetric<double>& s, double level) {
     const double a = s.xx - level;
     if (!(a > 0)) return false;
@@ -297,17 +296,17 @@ public:
             const double* row = k.matrix[2];
             moving[2] = moving[2] || k.coupled != 0 || k.force[2] != 0 || row[0] != 0 || row[1] != 0 || row[2] != 0;
         }
-        // An axis without extent has no points along it that could fold.
+        // No points along an axis without extent could fold.
         for (int i = 0; i < 3; i++) moving[i] = moving[i] && axes[i].extent() > 0;
     }
 
     Bounds known;
-    std::vector<int> near;  // the strokes that reach the last box
+    std::vector<int> near;  // the strokes that reach the current box
     Derivatives free_of;    // the N_n there, of strokes without a mask
     Derivatives masked;     // and of those with one, without its factor
     MaskBounds mask{};      // bounds of m there
 
-    // List the strokes that reach a box in `near`, and add their bounds up.
+    // List the strokes that reach a box in `near`, and sum their bounds.
     void sum_in(const Region& box) {
         free_of = masked = {};
         if (freeze) mask = freeze->bounds_in(box.low, box.high);
@@ -321,7 +320,7 @@ public:
                 near2 += nearest * nearest;
                 far2 += farthest * farthest;
             }
-            if (std::sqrt(near2) >= stroke.reach) continue;  // the displacement is 0 there
+            if (std::sqrt(near2) >= stroke.reach) continue;  // no displacement there
             near.push_back(s);
             Derivatives own =
                 stroke.flat > 0 ? eased_bounds(stroke, near2, far2) : displacement_bounds(stroke, near2, far2);
@@ -329,8 +328,8 @@ public:
         }
     }
 
-    // Bounds of the derivatives of m K in that box: of the n-th, n - 1 along the axis k, and one along which points
-    // move.
+    // Bounds of the derivatives of m K in that box: n-th derivatives, n - 1 of them along the axis k, and one along an
+    // axis along which points move.
     Derivatives sum_along(int k) const {
         const int x = k < 2, z = k == 2;
         const double m = mask.most(), mk = mask.of(x, z), mkk = mask.of(2 * x, 2 * z);
@@ -366,10 +365,10 @@ public:
         }
     }
 
-    // Bound μ in a box; halve the box if that is not close enough.
+    // Bound μ in a box, or halve the box if the bound is not close enough.
     void visit(Region box) {
         const Errors errors = errors_in(box);
-        double worst = enough();  // of the corners
+        double worst = enough();  // the least over the corners
         if (errors.simple >= worst) return settle(errors.simple);
         const int corners = box.low[2] < box.high[2] ? 8 : 4;
         for (int v = 0; v < corners; v += LANES) {
@@ -387,7 +386,7 @@ public:
                 for (int i = 0; i < 3; i++) known.point[i] = x[i][l];
             }
         }
-        // The simple bound is no key: many boxes may share it.
+        // The simple bound does not order boxes, as many may share it.
         box.bound = std::max(box.bound, worst);
         const double bound = std::max(box.bound, errors.simple), *d = errors.all;
         const int k = errors.cut;
@@ -406,7 +405,7 @@ private:
     // The terms of (1) for a box.
     struct Errors {
         double all[3] = {};  // D
-        int cut = 0;         // the axis that adds most to it
+        int cut = 0;         // the axis with the largest term, along which the box is halved
         double simple = 0;   // the bound (3), or that with a free border
         double rounding = 0;
     };
@@ -456,7 +455,7 @@ private:
         return found;
     }
 
-    // The bound (6) in a box.
+    // The bound (6) in a box, within a cell of the mask.
     double beside(const Region& box, double value, double steepest) const {
         double g[64][3];
         const int count = freeze->gradients_in(box.low, box.high, g);
@@ -495,7 +494,7 @@ private:
                           moving[2] ? mask.of(across, along + 1) : 0.0);
     }
 
-    // The lowest bound in a box that needs no further division.
+    // The lowest bound with which a box need not be halved.
     double enough() const { return std::min(target, known.upper * (1 + gap)); }
     void settle(double bound) { known.lower = std::min(known.lower, bound); }
 
@@ -504,16 +503,16 @@ private:
     const std::vector<Stroke>& strokes;
     const Axis* axes;
     const double free, target, gap;
-    const Frozen* freeze = nullptr;  // the mask, if a stroke is subject to it
-    std::vector<double> noise;       // of each stroke
-    bool moving[3] = {};             // along which axes points move
+    const Frozen* freeze = nullptr;  // the mask, if a stroke has one
+    std::vector<double> noise;       // the rounding error of each stroke
+    bool moving[3] = {};             // whether points move along each axis
     std::vector<Region> waiting;     // a heap
 };
 
-constexpr size_t FEW = 8;   // strokes, up to which a domain is not divided in advance
+constexpr size_t FEW = 8;   // strokes: domains of more are divided in advance
 constexpr double TILE = 4;  // radii
 
-// Boxes that cover what strokes reach of a domain: no end of the border goes across one.
+// Boxes that cover the reach of strokes in a domain; none crosses an end of the border.
 inline std::vector<Region> boxes_of(const std::vector<Stroke>& strokes, const Axis* axes) {
     std::vector<double> cuts[3];
     double radius = 0;
@@ -521,7 +520,7 @@ inline std::vector<Region> boxes_of(const std::vector<Stroke>& strokes, const Ax
     for (const Stroke& k : strokes) radius = std::max(radius, std::sqrt(k.radius2[0]));
     for (int i = 0; i < 3; i++) {
         const Axis& a = axes[i];
-        // Their depth is σ at least, rounded, too.
+        // With a depth of σ at least, despite rounding.
         double begin = a.first + a.sigma, end = a.last - a.sigma;
         if (begin - a.first < a.sigma) begin = std::nextafter(begin, a.last);
         if (a.last - end < a.sigma) end = std::nextafter(end, a.first);
@@ -550,7 +549,7 @@ inline std::vector<Region> boxes_of(const std::vector<Stroke>& strokes, const Ax
     return boxes;
 }
 
-// Bound μ in a domain. With a free border, the worst point of a single grab by 1 is at `distance` ahead of its pivot.
+// Bound μ in a domain. With a free border, the worst point of one grab is `distance` times its force from its pivot.
 inline Bounds smallest_strain(const std::vector<Stroke>& strokes, const Axis* axes, double free, double distance,
                               double target, double gap) {
     const std::vector<Region> boxes = boxes_of(strokes, axes);
@@ -584,13 +583,13 @@ inline Bounds smallest_strain(const std::vector<Stroke>& strokes, const Axis* ax
     return all;
 }
 
-// An upper bound of |K_β| in a domain: within LOOSE of the largest |K|, unless that takes more than MOST_PLACES boxes,
-// as where strong strokes nearly cancel.
+// An upper bound of |K_β| in a domain: at most LOOSE times the largest |K|, unless that takes more than MOST_PLACES
+// boxes, as where strong strokes nearly cancel.
 constexpr double LOOSE = 3;
 constexpr int MOST_PLACES = 20'000;
 inline double largest_displacement(const std::vector<Stroke>& strokes, const Axis* axes) {
-    // Return |K| at the middle of a box, and bound it within. β is not part of it: the bound holds, if it is not as
-    // close near a border.
+    // Return |K| at the middle of a box, and bound it in the box. It ignores β, so the bound holds, but is not as close
+    // near a border.
     const auto look = [](Search& search, const std::vector<Stroke>& among, Region& box) {
         double across2 = 0;
         Jet<3, 0, false, double> at, moved{};
@@ -608,16 +607,16 @@ inline double largest_displacement(const std::vector<Stroke>& strokes, const Axi
         box.bound = std::min({box.bound, most, here + steepest * std::sqrt(across2)}) * (1 + 1e-12);
         return here;
     };
-    // With the strokes that reach it alone, each box is cheap to look at.
+    // Each part has only the strokes that reach it, so that its boxes are cheap.
     struct Part {
         std::vector<Stroke> near;
         Region box;
-        double here;  // |K| somewhere in it, or elsewhere
+        double here;  // the largest |K| that was computed, here or elsewhere
         std::vector<Region> waiting;
     };
     std::vector<Part> parts;
     for (const Region& box : boxes_of(strokes, axes)) parts.push_back({{}, box, 0, {}});
-    for (const Stroke& stroke : strokes) {  // pivots are where most is moved
+    for (const Stroke& stroke : strokes) {  // displacements are largest at pivots
         Region pivot;
         for (int k = 0; k < 3; k++)
             pivot.low[k] = pivot.high[k] = std::clamp(stroke.pivot[k], axes[k].first, axes[k].last);
@@ -633,7 +632,7 @@ inline double largest_displacement(const std::vector<Stroke>& strokes, const Axi
     });
     double known = 0;
     for (const Part& part : parts) known = std::max(known, part.here);
-    // What parts leave of the places is for those that are not done: the same ones, whatever the threads.
+    // Open parts share the boxes that are left equally, so that the result does not depend on threads.
     const auto smaller = [](const Region& a, const Region& b) { return a.bound < b.bound; };
     std::vector<Part*> open;
     for (Part& part : parts)
@@ -673,8 +672,8 @@ inline double largest_displacement(const std::vector<Stroke>& strokes, const Axi
     return most;
 }
 
-// Bound μ in all of space, of a stroke with a finite reach from 0 along x. S is the same all around that axis, so that
-// a half-plane stands for space.
+// Bound μ in all of space, for a stroke at 0 with a finite reach and a force along x. S is symmetric about that axis,
+// so a half-plane stands for space.
 inline Bounds smallest_free_strain(const std::vector<Stroke>& one, double gap) {
     Search search(one, FREE, -INFINITE, 0, gap);
     const double reach = one[0].reach;

@@ -1,6 +1,6 @@
-// The motion between two frames: where a point that is seen between them lies in each, and how far that is trusted.
+// The motion between two frames: the place of a point between them in each frame, and the weight of that.
 //
-// A field holds, for each pair of frames and where a point is halfway, the displacement v from one frame to the next.
+// For each pair of frames, a field has, at the place of a point halfway, its displacement v from one frame to the next.
 // A point p at the time k + a lies on the path through p + (1/2 - a) v, so it is at p - a v in frame k, and at
 // p + (1 - a) v in frame k + 1.
 #pragma once
@@ -11,14 +11,14 @@
 
 namespace supple {
 
-constexpr float CUT = 0.1f;       // frames: how fast one frame replaces the other halfway through a cut
-constexpr float SETTLED = 0.02f;  // displacements: v is looked up again where its place moves farther
+constexpr float CUT = 0.1f;       // frames: the duration of the change of frames, halfway through a cut
+constexpr float SETTLED = 0.02f;  // lattice steps: v is looked up again if its place moves farther
 
 struct Motion {
-    const float* fields;   // of pairs in slots: (capacity, h, w, 4) with v in pixels of the frame, its weight, nothing
-    const float* longest;  // of each slot: the longest v; 0 for the plain mixture, negative at a cut
+    const float* fields;   // pairs in slots, (capacity, h, w, 4): v in pixels of the frame, its weight, and 0
+    const float* longest;  // the length of each slot's longest v; 0 for the plain mixture, negative at a cut
     int capacity = 0, w, h;
-    double first[2], step;  // the position of the first v in the frame, and the distance of the next
+    double first[2], step;  // the position of the first v in the frame, and the distance between neighbours
 
     // v and its weight at a position of a field.
     INLINE Pixel<float> at(const float* field, float x, float y) const {
@@ -31,7 +31,7 @@ struct Motion {
         const Pixel<float> right = b + (y - (float)j) * (load<float, 4>(q + 4) - b);
         return left + (x - (float)i) * (right - left);
     }
-    // The longest displacement between some frames.
+    // The longest displacement in the pairs from frame `first` to frame `last`.
     double most_from(int first, int last, int count, int rule) const {
         double found = 0;
         for (int k = first; k < last; k++) {
@@ -45,9 +45,9 @@ struct Motion {
 // The samples of a row in the frames before and after their times.
 struct Followed {
     Row<3> row[2];
-    float share[3][STRIDE];  // the weights of the frame before, of that after, and of the plain mixture
+    float share[3][STRIDE];  // the weights of the earlier frame, the later frame, and the plain mixture
 
-    // False if all are plain mixtures. Always for a whole row of a root, as `Prints::find`.
+    // False if all are plain mixtures. Always called for a whole row of a root, like `Prints::find`.
     template <class Job>
     bool find(const Job& job, const Row<3>& from);
 };
@@ -61,7 +61,7 @@ inline bool Followed::find(const Job& job, const Row<3>& from) {
         scale[d] = (float)(job.grid.step[d] / m.step);
         start[d] = (float)((job.grid.offset[d] - m.first[d]) / m.step);
     }
-    float way[STRIDE];  // 1, or -1 in a mirror image of the clip, which plays backwards; 0 at a cut, and for a mixture
+    float way[STRIDE];  // 1; -1 in the mirror image of a clip, which plays backwards; 0 at a cut, or for a mixture
     float v[3][STRIDE];
     bool any = false, stays = true;
     for (int k = 0, end; k < n; k = end) {  // samples of one pair
@@ -89,7 +89,7 @@ inline bool Followed::find(const Job& job, const Row<3>& from) {
                 now = m.at(field, x + ahead * now[0], y + ahead * now[1]);
                 if (magnitude(ahead * (now[0] - last[0])) + magnitude(ahead * (now[1] - last[1])) < SETTLED) return now;
             }
-            return (now + last) * 0.5f;  // where paths cross, there is no one v
+            return (now + last) * 0.5f;  // where paths cross, v is not unique
         };
         Pixel<float> left = look(k), right = left;
         for (int at = k; at < end; at += every, left = right) {
@@ -98,12 +98,12 @@ inline bool Followed::find(const Job& job, const Row<3>& from) {
             stays &= left[0] == 0 && left[1] == 0 && right[0] == 0 && right[1] == 0;
             const Pixel<float> part = Pixel<float>{0, 1, 2, 3} * (1 / (float)most(next - at, 1));
             for (int d = 0; d < 3; d++) {
-                const Pixel<float> four = left[d] + part * (right[d] - left[d]);  // past the last, they are replaced
+                const Pixel<float> four = left[d] + part * (right[d] - left[d]);  // those past the last are replaced
                 memcpy(v[d] + at, &four, sizeof four);
             }
         }
     }
-    if (!any || (stays && !job.average)) return false;  // what stays in place is mixed
+    if (!any || (stays && !job.average)) return false;  // without displacements, mix plainly
     for (Row<3>& to : row) {
         to.sloped = from.sloped;
         to.count = n;

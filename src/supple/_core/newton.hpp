@@ -9,8 +9,8 @@
 
 namespace supple {
 
-// The strokes of a table that apply, in order. If `reached` is not null, it has for each stroke a bit for each lane
-// that it applies to, the first of them `lane`: what neighbours need changes no bit of a lane.
+// The strokes of a table that apply, in order. If `reached` is not null, it has for each stroke the bits of the lanes
+// that it applies to, from bit `lane` on; it changes no bit of other lanes.
 struct Chain {
     const Stroke* strokes;
     const int* list;
@@ -67,8 +67,8 @@ NOINLINE void add_group(const Chain& group, const Axis* axes, Jet<D, TANGENTS, M
     for (int k = 0; k < group.count; k++) add_for(group.lanes_of(k), group[k], axes, at, jet);
 }
 
-// Send a jet through a chain: x ← T(x), t ← T'(x) t, mixed ← T'(x) mixed + T''(x)(t₀, t₁). One stroke of a group is
-// added as more of it are, so that the others, which a lane may not need, change no bit.
+// Map a jet by a chain: x ← T(x), t ← T'(x) t, mixed ← T'(x) mixed + T''(x)(t₀, t₁). A single stroke of a group is
+// added in the same way as several, so that the others, which a lane may not need, change no bit of it.
 template <int D, int TANGENTS, bool MIXED, class V>
 ONCE void carry(const Chain& chain, const Axis* axes, Jet<D, TANGENTS, MIXED, V>& jet) {
     for (int k = 0, end; k < chain.count; k = end) {
@@ -80,8 +80,8 @@ ONCE void carry(const Chain& chain, const Axis* axes, Jet<D, TANGENTS, MIXED, V>
     }
 }
 
-// Send a point back through a group of one twist: by its turn to the other side, which is T⁻¹ where there is neither a
-// border nor a mask, and a guess otherwise.
+// Map a point back through a group of one twist, by the opposite angle: this is T⁻¹ where there is neither a border nor
+// a mask, and a guess otherwise.
 template <int D, class V>
 INLINE void turn_back(const Chain& group, const Axis* axes, V* x) {
     if (group.count > 1 || !group[0].turns()) return;
@@ -103,7 +103,7 @@ struct Solution {
     typename Masked<V>::type done;
 };
 
-// Finished lanes do not change, whatever the other lanes need.
+// Finished lanes do not change while others continue.
 template <int D, class V>
 INLINE Solution<D, V> choose(typename Masked<V>::type first, const Solution<D, V>& a, const Solution<D, V>& b) {
     Solution<D, V> c = b;
@@ -158,7 +158,7 @@ CALLED void newton(const Chain& chain, const Axis* axes, const V* q, double tole
             e[i] = jet.x[i] - q[i];
             e2 += e[i] * e[i];
         }
-        // Lanes that have given up do not change, whatever the others need.
+        // Lanes that have given up do not change while others continue.
         M taken = without(both(e2 <= error * (1.0 - DOWNHILL * part), part > SHORTEST), done);
         V m[D][D], d[D], d2 = V{};
         invert(jet.t, m);
@@ -176,7 +176,7 @@ CALLED void newton(const Chain& chain, const Axis* axes, const V* q, double tole
         done = either(done, both(taken, both(d2 <= tolerance * tolerance, e2 <= residual * residual)));
         if (!any(without(part > SHORTEST, done))) break;
     }
-    // The last, short step is known, and applied.
+    // Apply the last, short step.
     for (int i = 0; i < D; i++) found.p[i] = kept_inside(choose(done, V(base[i] + step[i]), base[i]), q[i], axes[i]);
     found.done = done;
 }
@@ -236,13 +236,13 @@ NOINLINE void undo(const Chain& chain, const Axis* axes, const V* q, double tole
             }
         for (int i = 0; i < D; i++) at[i] = found.p[i];
     }
-    // For one stroke, too, the matrix must be that at the solution.
+    // Also for a single stroke: the matrix must be that at the solution.
     newton<D>(chain, axes, q, tolerance, 8, found);
 }
 
-// Take one more Newton step from p with m ≈ (∂T/∂p)⁻¹ in `found`, which makes m exact to second order, and find
-// ∂²p/∂q₀∂q₁ = -m T''(m₀, m₁); it is done if that step is shorter than `tolerance`, the residual
-// than STEEP times that, and m was close. `smooth2`: how far the map stays as it is here along q₀ and q₁, squared.
+// Take one more Newton step from p with m ≈ (∂T/∂p)⁻¹ in `found`, which makes m exact to second order, and compute
+// ∂²p/∂q₀∂q₁ = -m T''(m₀, m₁). It is done if that step is shorter than `tolerance`, the residual at most STEEP times
+// that, and m was close. `smooth2`: the squared lengths over which the map varies along q₀ and q₁.
 template <int D, class V>
 CALLED void polish(const Chain& chain, const Axis* axes, const V* q, double tolerance, Solution<D, V>& found, V* mixed,
                    V* smooth2) {
@@ -255,7 +255,7 @@ CALLED void polish(const Chain& chain, const Axis* axes, const V* q, double tole
     jet.smooth2[0] = jet.smooth2[1] = splat<V>(1e300);
     carry(chain, axes, jet);
     for (int j = 0; j < 2; j++) smooth2[j] = jet.smooth2[j];
-    // jet.t = (∂T/∂p) m ≈ I, so that its inverse is 2I - jet.t but for squares.
+    // jet.t = (∂T/∂p) m ≈ I, so to first order, its inverse is 2I - jet.t.
     V better[D][D], e[D];
     for (int j = 0; j < D; j++)
         for (int i = 0; i < D; i++) better[j][i] = 2.0 * found.m[j][i] - times<D>(found.m, jet.t[j], i);
@@ -285,12 +285,12 @@ struct Solved {
 enum class Guess { NONE, POINT, PATCH };  // of a node: nothing; p; p and its derivatives
 
 // Solve T(p) = q at a node, from a guess in `found`; `finest` is the least spacing, and `tolerance` is in pixels.
-// `twice`: whether a step from a patch that was too long is worth a second one, from where it led.
+// `twice`: whether to take a second step where the first one from a patch was too long.
 template <int D, class V>
 INLINE Solved<D, V> solved(const Chain& chain, const Axis* axes, const V* q, double finest, double tolerance,
                            Guess guess, Solution<D, V> found, bool twice = false) {
     typedef typename Masked<V>::type M;
-    // A step that short is applied, and another after it: the error left is of the order of its fourth power.
+    // A step this short is applied, and one more after it, which leaves an error of the order of its fourth power.
     const double enough = finest * least(0.02, 0.2 * root(tolerance));
     const M all = splat<V>(0.0) <= 0.0;
     auto polished = [&](const Solution<D, V>& s, double tolerance) {
@@ -306,7 +306,7 @@ INLINE Solved<D, V> solved(const Chain& chain, const Axis* axes, const V* q, dou
     };
     found.done = without(all, all);
     Solved<D, V> known{found, {}, {}};
-    // Of a step a fourth as long, the square is left.
+    // One step of a fourth of this length leaves an error of the order of its square.
     if (guess == Guess::PATCH) known = polished(found, enough / 4);
     if (twice && guess == Guess::PATCH && any(without(all, known.at.done)))
         known = merged(known, polished(known.at, enough / 4));

@@ -21,7 +21,7 @@ template <class N>
 template <class T>
 void Numbers<N>::convert(const T* p, int n, int group, N* out) const {
     int some = count(group), first = group * colours, i = 0;
-    // Four numbers at once, but for the last pixels, after which there may be no four to read.
+    // Four numbers at once, except for the last pixels, where fewer may be readable.
     if constexpr (sizeof(N) == sizeof(float) && (sizeof(T) < 4 || std::is_same_v<T, N>))
         for (; lanes == 4 && !job.light && i + 4 < n; i++, p += job.channels, out += lanes) {
             Pixel<N> v = load<N, 4>(p + first);

@@ -1,5 +1,4 @@
-// Headers of others, which are read once for all files (see CMakeLists.txt); each file includes what it uses all the
-// same.
+// Headers of other libraries, precompiled for all files (see CMakeLists.txt). Each file still includes what it uses.
 #pragma once
 #include <math.h>
 #include <stddef.h>

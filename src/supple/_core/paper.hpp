@@ -1,7 +1,7 @@
 // T⁻¹ by the published iteration, unchanged: a baseline for measurements, not used otherwise.
 //
 // Haetinger and Gastal ("Fast Iterative Inversion for Non-linear Vector Fields Applied to Images, Videos and
-// Volumes", equations 4.3 to 4.6) invert each pixel by itself. From p = q on, p grows by μ A⁻¹ b, where
+// Volumes", equations 4.3 to 4.6) invert each pixel by itself. Starting at p = q, p changes by μ A⁻¹ b, where
 //
 //     ξ = T(p) - q,    b = -(Jᵀ + I) ξ,    A = JᵀJ + 2Jᵀ + I,
 //

@@ -1,6 +1,6 @@
-// Bicubic patches: T⁻¹ between four nodes, and how far it is off.
+// Bicubic patches: T⁻¹ between four nodes, and their errors.
 //
-// A node knows p = T⁻¹(q), the columns of ∂p/∂q and the twist ∂²p/∂x∂y: all that a bicubic Hermite patch needs. A patch
+// A node has p = T⁻¹(q), the columns of ∂p/∂q and the twist ∂²p/∂x∂y: all that a bicubic Hermite patch needs. A patch
 // is checked at nine points: |M (T(p) - q)| is the distance to T⁻¹(q). All lengths are in pixels.
 //
 // It uses no std::, allocation or exceptions, so that compilers for GPUs accept this file.
@@ -9,25 +9,25 @@
 
 namespace supple {
 
-// A point of a lattice, at which T⁻¹ is known, and its derivatives.
+// A node of a lattice: T⁻¹ and its derivatives.
 template <int D>
 struct Node {
     double p[D], m[D][D], mixed[D];
     double smooth[2];  // the length scale of the map along x and y
 };
 
-constexpr double RESERVE = 1.75;   // nine points miss a part of the largest error of a cell,
-constexpr double ROUGH = 2.5;      // and of splines, whose derivatives jump, a larger one
-constexpr double COARSEST = 0.25;  // of tolerances: beyond, the slopes of a patch bound the distance less well
-constexpr double RESOLVED = 0.5;   // of the length scale of the map: the longest side that nine points represent
-constexpr double FAR = 4096;       // pixels: the longest way to a source point that is not solved
-constexpr int SEEN = 9;            // points of a cell, of which the second to the fifth are the centres of its sides
+constexpr double RESERVE = 1.75;   // the safety factor for the largest error of a cell, which nine points may miss,
+constexpr double ROUGH = 2.5;      // and for splines, whose derivatives jump
+constexpr double COARSEST = 0.25;  // the largest tolerance: beyond, the slopes of a patch bound the distance less well
+constexpr double RESOLVED = 0.5;   // of the map's length scale: the longest side for which nine points suffice
+constexpr double FAR = 4096;       // pixels: the largest distance of a source point that could not be solved
+constexpr int SEEN = 9;            // checked points of a cell; the second to the fifth are the centres of its sides
 // clang-format off
 constexpr double SEEN_X[SEEN] = {.5, .5, .5, 0,  1,  .25, .75, .25, .75};
 constexpr double SEEN_Y[SEEN] = {.5, 0,  1,  .5, .5, .25, .25, .75, .75};
 // clang-format on
 
-// The cubic with the values v0, v1 and the slopes d0, d1 at the ends of [0, 1/inverse], as powers.
+// The powers of the cubic with the values v0, v1 and the slopes d0, d1 at the ends of [0, 1/inverse].
 template <class V>
 INLINE void hermite(V v0, V d0, V v1, V d1, V inverse, V* c) {
     V rise = (v1 - v0) * inverse;
@@ -37,8 +37,8 @@ INLINE void hermite(V v0, V d0, V v1, V d1, V inverse, V* c) {
     c[3] = (d0 + d1 - 2 * rise) * inverse * inverse;
 }
 
-// The patch c[4j + i] sⁱ tʲ of one coordinate: of the corners (left, right of the upper side, and of the lower one) its
-// values, the derivatives along x and y, and the twists.
+// The patch Σ c[4j + i] sⁱ tʲ of one coordinate, from its values, derivatives along x and y, and twists at the corners
+// (upper left and right, lower left and right).
 template <class V>
 INLINE void patch_of(const V* value, const V* along_x, const V* along_y, const V* twist, V per_width, V per_height,
                      V* c) {
@@ -50,7 +50,7 @@ INLINE void patch_of(const V* value, const V* along_x, const V* along_y, const V
     for (int j = 0; j < 4; j++) hermite(left[j], left_x[j], right[j], right_x[j], per_width, c + 4 * j);
 }
 
-// A patch and its slopes at (s, t).
+// The value of a patch at (s, t), and its slopes.
 template <class V>
 INLINE V at(const V* c, V s, V t, V& ds, V& dt) {
     V r[4], rt[4];
@@ -64,8 +64,8 @@ INLINE V at(const V* c, V s, V t, V& ds, V& dt) {
     return r[0] + s * (r[1] + s * (r[2] + s * r[3]));
 }
 
-// The Newton step from the point of a patch at (s, t) to T⁻¹(q) of a chain, and its squared length; q in pixels, and
-// the mean ∂p/∂z of the corners.
+// The Newton step from the point of a patch at (s, t) to T⁻¹(q) of a chain; returns its squared length. q is in pixels,
+// and `across_plane` the mean ∂p/∂z of the corners.
 template <int D, class V>
 INLINE V off_chain(const Chain& chain, const Axis* axes, const V (*c)[16], V s, V t, const V* q, const V* across_plane,
                    V* step) {
@@ -80,7 +80,7 @@ INLINE V off_chain(const Chain& chain, const Axis* axes, const V (*c)[16], V s, 
     }
     return off2;
 }
-// Of a composite, by its solution itself.
+// The same for a composite, from its solution at q.
 template <int D, class V>
 INLINE V off_composite(const Composite& map, const Axis* axes, const V (*c)[16], V s, V t, const V* q, V* step,
                        V& steps) {
@@ -95,7 +95,7 @@ INLINE V off_composite(const Composite& map, const Axis* axes, const V (*c)[16],
     return off2;
 }
 
-// A patch in float32, relative to whole numbers: `anchor` is of coordinate k, and c[k] of the rest.
+// A patch in float32: for each coordinate d, the whole number `anchor[d]` plus the powers c[d].
 template <int D>
 struct Leaf {
     int x, y, w, h;
@@ -106,8 +106,8 @@ struct Leaf {
 
 INLINE double within(double x, double low, double high) { return least(most(x, low), high); }
 
-// Round a patch to float32; returns the largest error of rounding, at the corners other than the first, the last of
-// which lie `w` and `h` away: of powers that are steep, and cancel there.
+// Round a patch to float32. Returns the largest rounding error at the corners other than the first, where steep powers
+// cancel; the last corner is at (w, h).
 template <int D>
 INLINE double round_patch(const double (*c)[16], double w, double h, Leaf<D>& leaf) {
     double worst = 0;
@@ -125,7 +125,7 @@ INLINE double round_patch(const double (*c)[16], double w, double h, Leaf<D>& le
     return worst;
 }
 
-// The bilinear interpolant of the four corners' numbers v of a cell w wide and h high.
+// The coefficients of the bilinear interpolant of values v at the corners of a cell w wide and h high.
 INLINE void bilinear_of(const double* v, double w, double h, float* depth) {
     depth[0] = (float)v[0];
     depth[1] = (float)((v[1] - v[0]) / w);

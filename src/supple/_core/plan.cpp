@@ -8,7 +8,7 @@
 
 namespace supple {
 
-// max(λ₋, λ₊/400) of MMᵀ, of ∂p/∂x = (xx, xy) and ∂p/∂y = (yx, yy).
+// max(λ₋, λ₊/400) of MMᵀ, for ∂p/∂x = (xx, xy) and ∂p/∂y = (yx, yy).
 inline double widest_of(double xx, double xy, double yx, double yy) {
     double a = xx * xx + yx * yx, c = xy * xy + yy * yy, b = xx * xy + yx * yy;
     double h = (a + c) / 2, d = sqrt((a - c) * (a - c) / 4 + b * b);
@@ -17,7 +17,7 @@ inline double widest_of(double xx, double xy, double yx, double yy) {
 
 // ---- which strokes reach which cells ------------------------------------------------------------------------------
 
-// Bounds of |K_β| and |J_β| in a stroke's own metric, with the additional terms of a border's slope and a mask's.
+// Bounds of |K_β| and |J_β| in a stroke's own metric, including the slopes of the border's factor and of the mask.
 inline Bound bound_within(const Stroke& k, const Axes& axes, int dimensions) {
     Bound bound = bound_of(k);
     for (int i = 0; i < dimensions; i++)
@@ -69,7 +69,7 @@ Plan<D>::Plan(Strokes given, int width, int height, double z, double tolerance,
     if (unsolved) error = std::numeric_limits<double>::infinity();
 }
 
-// Plan the strokes before the last freeze in all that it holds, and a pixel more, beside which chroma may lie.
+// Plan the strokes before the last freeze, for the box that it holds and one more pixel, where chroma may lie.
 template <int D>
 void Plan<D>::keep_state(const Frozen* masks) {
     for (const auto& [row, mask] : masks->freezes)
@@ -115,12 +115,12 @@ Chain Plan<D>::chain_of(Work& w, RootOf root_of) const {
     return {strokes.data(), w.list.data(), (int)w.list.size(), w.reached.data()};
 }
 
-// A ball around each root of a row is carried back through the chain: its centre by a fixed point of each group of
-// strokes that it touches, its radius by a bound of that inverse's slope, or of the displacement. It is a ball in the
-// metric of the last group, in which the third axis is `metric` times as long: in any, as long as it is flat.
+// Map a ball around each root of a row back through the chain: its centre by a fixed-point iteration for each group of
+// strokes that it touches, its radius by a bound of the inverse's slope, or of the displacement. It is a ball in the
+// metric of the last group, whose third axis is `metric` times as long; while it is flat, in every metric.
 template <int D>
 void Plan<D>::find_reaching(int j, int left, int right) {
-    // The same groups of roots as of the whole row.
+    // Roots are grouped as for the whole row.
     for (int first = left - left % LANES; first < std::min(right + 1, across); first += LANES) {
         Lanes low[D], high[D], centre[D], radius2{};
         for (int l = 0; l < LANES; l++) {
@@ -143,8 +143,8 @@ void Plan<D>::find_reaching(int j, int left, int right) {
             const Chain group = whole.last_before(end);
             const int begin = end - group.count;
             end = begin;
-            // No displacement is longer than `size`. One stroke keeps points in its ball, or out of it; others of its
-            // group move them across, so that these are looked for that much farther.
+            // No displacement exceeds `size`. A single stroke keeps points inside its ball, or outside of it; others of
+            // its group move points across, so that balls are extended by `size`.
             double size = 0, bend = 0;
             for (int n = begin; n < begin + group.count; n++) {
                 size += bounds[n].value;
@@ -152,7 +152,7 @@ void Plan<D>::find_reaching(int j, int left, int right) {
             }
             const double known = strokes[begin].most, stretch = strokes[begin].stretch;
             size = std::min(size, known);
-            const Lanes own = stretch > metric ? Lanes(radius * (stretch / metric)) : radius;  // in its metric
+            const Lanes own = stretch > metric ? Lanes(radius * (stretch / metric)) : radius;  // in the group's metric
             const auto from_pivot = [&](const Stroke& k, const Lanes* x, int d) {
                 return d < 2 ? Lanes(x[d] - k.pivot[d]) : Lanes((x[d] - k.pivot[d]) * stretch);
             };
@@ -198,8 +198,7 @@ void Plan<D>::find_reaching(int j, int left, int right) {
                     if (round < 2) x[d] += e;
                 }
             }
-            // No displacement within the ball's preimage is longer than the sizes allow at its point nearest to a
-            // pivot.
+            // Within the ball's preimage, displacements are bounded by the sizes at its point nearest to a pivot.
             Lanes zero{}, one = splat<Lanes>(1.0), off = root(off2), moved{};
             for (int n = begin; n < begin + group.count; n++) {
                 Lanes near = most(Lanes(away(strokes[n]) - most(own, off) - size), zero);
@@ -224,14 +223,15 @@ void Plan<D>::find_reaching(int j, int left, int right) {
     }
 }
 
-// What is frozen is the identity: all of a root, or samples of it, as outside of every ball, if that holds of each
-// stroke that reaches it. What a freeze holds is as the strokes before it have it.
+// Clear the strokes of a root that is frozen for each of them: there, the map is the identity, as outside of every
+// ball. A root with only some frozen samples becomes a rim, and one that a freeze holds keeps the map of the strokes
+// before.
 template <int D>
 void Plan<D>::thaw(int index) {
     const int i = index % across, j = index / across;
     const double low[3] = {column(i) * axes[0].spacing, line(j) * axes[1].spacing, z * axes[2].spacing};
     const double high[3] = {column(i + 1) * axes[0].spacing, line(j + 1) * axes[1].spacing, low[2]};
-    const Frozen* last = nullptr;  // neighbours share one
+    const Frozen* last = nullptr;  // neighbours often share a mask
     bool frozen = true, still = false, some = hold && !hold->is_free(low, high);
     if (hold && hold->is_frozen(low, high)) {
         roots[index].held = true;
@@ -266,7 +266,7 @@ void Plan<D>::thaw(int index) {
 
 // ---- nodes ----------------------------------------------------------------------------------------------------------
 
-// Solve what is asked, and store it at the nodes.
+// Solve the nodes in `asks`, and store the solutions.
 template <int D>
 void Plan<D>::solve(Work& w, Guess guess) {
     int count = (int)w.asks.size();
@@ -291,7 +291,7 @@ void Plan<D>::solve(Work& w, Guess guess) {
             known =
                 solved<D>(chain, axes.data(), q, finest_of<D>(axes.data()), tolerance, guess, found, freeze != nullptr);
             passed.within = Mask{} == 0;
-            passed.upright = determinant_of(known.at.m) > 0.0;  // a composite may mirror, and knows what folds
+            passed.upright = determinant_of(known.at.m) > 0.0;  // composites may mirror, and report folds themselves
         }
         for (int i = 0; i < LANES && start + i < count; i++) {
             Node<D>& node = w.nodes[ask(i).node];
@@ -352,7 +352,7 @@ void Plan<D>::solve_band(int index) {
         return;
     }
     w.nodes.resize((size_t)(end - first + 1) * (across + 1));
-    // Each row from the one above.
+    // Each row with guesses from the one above.
     for (int j = first; j <= bottom; j++) {
         for (int i = left; i <= right; i++) {
             Ask a{};
@@ -427,7 +427,7 @@ void Plan<D>::solve_pixels(int index) {
                 jet.x[d] /= axes[d].spacing;
                 for (int e = 0; e < D; e++) jet.t[e][d] *= axes[e].spacing / axes[d].spacing;
             }
-            for (int d = 0; d < D; d++) {  // a guess, which must not take the memory of all frames up to there
+            for (int d = 0; d < D; d++) {  // limit unsolved points: they must not require all frames up to them
                 const Lanes at = q[d] / axes[d].spacing;
                 jet.x[d] = choose(passed.done, jet.x[d], most(least(jet.x[d], at + FAR), at - FAR));
             }
@@ -476,7 +476,7 @@ void Plan<D>::check(Work& w) {
         auto cell = [&](int i) -> const Cell& { return w.cells[std::min(start + i, count - 1)]; };
         Chain chain{};
         if (!map) chain = chain_of(w, [&](int i) { return cell(i).root; });
-        // Of each corner: p, ∂p/∂x, ∂p/∂y, the twist; and the mean of ∂p/∂z.
+        // For each corner: p, ∂p/∂x, ∂p/∂y, the twist; and the mean of ∂p/∂z.
         Lanes x0, y0, h, k, value[D][4], slope[2][D][4], twist[D][4], across_plane[D] = {};
         Lanes smooth[2] = {splat<Lanes>(1e300), splat<Lanes>(1e300)}, c[D][16], worst{};
         for (int i = 0; i < LANES; i++) {
@@ -499,7 +499,7 @@ void Plan<D>::check(Work& w) {
         }
         Lanes per_h = 1.0 / h, per_k = 1.0 / k;
         for (int d = 0; d < D; d++) patch_of(value[d], slope[0][d], slope[1][d], twist[d], per_h, per_k, c[d]);
-        // Of a cell a pixel wide or high, only the sides are sampled.
+        // In a cell one pixel wide or high, all samples are on the sides.
         Lanes step[5][D], side[2] = {};
         Mask thin[2] = {h <= 1.0, k <= 1.0}, single = both(thin[0], thin[1]);
         Mask coarse[2] = {without(h > RESOLVED * smooth[0], thin[0]), without(k > RESOLVED * smooth[1], thin[1])};
@@ -521,7 +521,7 @@ void Plan<D>::check(Work& w) {
             for (int d = 0; n < 5 && d < D; d++) step[n][d] = g[d];
             off = choose(off == off, off, splat<Lanes>(1e300));
             worst = most(worst, off);
-            // Along an edge of the cell, only its length counts.
+            // The error along an edge depends only on the length of that edge.
             if (n > 0 && n < 5) side[n > 2] = most(side[n > 2], off);
         }
         for (int i = 0; i < LANES && start + i < count; i++) {
@@ -555,8 +555,8 @@ void Plan<D>::check(Work& w) {
     solve(w, Guess::PATCH);
 }
 
-// Split a cell along each side that is too long, in halves or into single pixels; the guesses of the new nodes are from
-// its patch and its error.
+// Split a cell along each side that is too long, in halves or into single pixels; its patch, corrected by its error,
+// gives guesses of the new nodes.
 template <int D>
 void Plan<D>::split(Work& w, const Cell& e, const Checked& found) {
     const int wide = e.x1 - e.x0, high = e.y1 - e.y0;
@@ -611,8 +611,8 @@ constexpr double ON_FACE = 1e-6;
 template <int D>
 void Plan<D>::fill(const Leaf<D>& leaf, const Grid& grid, int y, int from, int to, int left,
                    Row<D>& __restrict row) const {
-    // On a fixed face and beyond, which the chroma of a last pixel may reach, the map along it is that on the face: the
-    // patch of the last cell continues from the last pixel's centre to there.
+    // On a fixed face and beyond it, where chroma of the last pixel may lie, the map along the face is that on the
+    // face: the patch of the last cell is extended from the last pixel's centre to the face.
     const double below = y * grid.step[1] + grid.offset[1];
     const bool on_face = axes[1].fixed() && below > face_of(axes[1]) - ON_FACE;
     const float t = (float)((on_face ? face_of(axes[1]) : below) - leaf.y);
@@ -682,7 +682,7 @@ void Plan<D>::fill(const Leaf<D>& leaf, const Grid& grid, int y, int from, int t
     }
 }
 
-// The pixels of a row of a root in which every pixel is solved.
+// Fill a row of a root in which every pixel is solved.
 template <int D>
 void Plan<D>::fill_pixels(const Root& root, int index, int y, int n, Row<D>& row) const {
     const Band& band = bands[root.band];
@@ -709,7 +709,7 @@ bool Plan<D>::mark(const Root& root, int index, const Grid& grid, int x, int y, 
     row.some_same = false;
     if (!root.rim) return false;
     std::fill(row.same, row.same + n, true);
-    const Freeze* last = nullptr;  // neighbours share one
+    const Freeze* last = nullptr;  // neighbours often share a mask
     bool frozen[STRIDE];
     double py = (y * grid.step[1] + grid.offset[1]) * axes[1].spacing, sx = axes[0].spacing;
     for (size_t word = 0; word < words; word++)
@@ -720,7 +720,7 @@ bool Plan<D>::mark(const Root& root, int index, const Grid& grid, int x, int y, 
             if (D == 3) chord -= deep * deep;
             if (chord < 0) continue;
             chord = sqrt(chord);
-            // In samples from x on; the rim itself, where the displacement is 0, is left out despite rounding.
+            // In samples from x on; excludes the ball's boundary, where there is no displacement, with a tolerance.
             double first = ((k.pivot[0] - chord) / sx - grid.offset[0]) / grid.step[0] - x;
             double final = ((k.pivot[0] + chord) / sx - grid.offset[0]) / grid.step[0] - x;
             int from = (int)std::clamp(floor(first + 1e-9) + 1, 0.0, (double)n);
@@ -739,7 +739,7 @@ bool Plan<D>::mark(const Root& root, int index, const Grid& grid, int x, int y, 
     return count == n;
 }
 
-// Set a sample of a row, which begins with x, to the identity.
+// Set sample i of a row that begins with x to the identity.
 template <int D>
 void Plan<D>::same(Row<D>& row, int i, int x, int y) const {
     row.same[i] = row.some_same = true;
@@ -754,7 +754,7 @@ void Plan<D>::same(Row<D>& row, int i, int x, int y) const {
     }
 }
 
-// Set the samples that a freeze holds to what the strokes before it make of them.
+// Set the samples that a freeze holds to the map of the strokes before it.
 template <int D>
 void Plan<D>::restore(int index, const Grid& grid, int x, int y, int n, Row<D>& row) const {
     bool frozen[STRIDE], some = false;
@@ -787,8 +787,8 @@ void Plan<D>::restore(int index, const Grid& grid, int x, int y, int n, Row<D>& 
     }
 }
 
-// Whether a footprint of a root may be larger than a sample: rounding is within the reserve. A composite is bounded at
-// its pixels alone.
+// Whether a footprint of a root may be larger than a sample, with a reserve for rounding. For a composite, bounds hold
+// only at pixels.
 inline bool may_shrink(const Grid& grid, float largest, bool composite) {
     return grid.step[0] != grid.step[1] || (composite && grid.step[0] > 1) || largest > 1 + LOW - 1e-3;
 }
@@ -846,13 +846,13 @@ void Plan<D>::each_row(const Grid& grid, int root_row, const int (&box)[4], Slop
     }
 }
 
-// ---- what is known of the whole -------------------------------------------------------------------------------------
+// ---- bounds of the whole --------------------------------------------------------------------------------------------
 
 template <int D>
 void Plan<D>::widen(const Leaf<D>& leaf, Extent<D>& e) const {
-    // The patch's Bézier points, whose hull contains it; and that of their differences its slopes. Samples lie up to
-    // the next leaf, or the last pixel, or a fixed face; of a composite, at its pixels, beyond which slopes at folds
-    // lead anywhere.
+    // A patch is in the hull of its Bézier points, and its slopes in that of their differences. Samples lie up to the
+    // next leaf, the last pixel, or a fixed face; for a composite, only at pixels, as its slopes at folds may lead
+    // anywhere.
     auto reached = [this](int axis, double from, double to) {
         if (map) return std::max(to - from - 1, 1e-3);
         if (to >= size[axis]) to = axes[axis].fixed() ? face_of(axes[axis]) : size[axis] - 1.0;
@@ -907,7 +907,7 @@ Extent<D> Plan<D>::extent(int index) const {
         return bands[root.band].extents[(size_t)(index / across % BAND) * across + index % across];
     if (root.held) return under->extent(index);
     if (under && root.rim) e |= under->extent(index);
-    if (is_still(index) || root.rim) {  // the identity is included
+    if (is_still(index) || root.rim) {  // it includes the identity
         int i = index % across, j = index / across;
         double low[3] = {(double)column(i), (double)line(j), z}, high[3] = {column(i + 1) + 1.0, line(j + 1) + 1.0, z};
         for (int d = 0; d < D; d++) {

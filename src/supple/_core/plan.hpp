@@ -1,4 +1,4 @@
-// T⁻¹ on one plane: solved at the nodes of a lattice, filled in between by patches, and certified.
+// T⁻¹ on one plane: solved at the nodes of a lattice, interpolated by patches, and certified.
 //
 // At a node, Newton's method gives p = T⁻¹(q), its derivatives ∂p/∂q = (I+J)⁻¹ and, by second-order jets, the twist
 // ∂²p/∂x∂y: all that a bicubic Hermite patch needs, exactly, so that a cell depends on its own four nodes alone. A
@@ -6,8 +6,8 @@
 // map varies too fast for nine points, the cell is split, down to single pixels, whose corners are nodes. A root cell
 // that no stroke can reach is the identity and costs nothing.
 //
-// Where a freeze among the strokes holds a point, T⁻¹ is that of the strokes before it, by a plan of their own: the
-// same bits as without the later strokes.
+// In samples that a freeze among the strokes holds, T⁻¹ is that of the strokes before it, from a plan of their own,
+// with the same bits as without the later strokes.
 //
 // A composite map (`Composite`) is solved at the nodes without guesses, and cells are checked against its solutions. If
 // it is not smooth, there are no cells: every pixel is solved, with its derivatives.
@@ -32,11 +32,11 @@ namespace supple {
 
 constexpr int ROOT = 32;          // pixels along the side of a root cell
 constexpr int SMALL = 4;          // a side of up to as many pixels is split into single ones at once,
-constexpr int BESIDE_FROZEN = 2;  // and beside what is frozen, where many cells are small
+constexpr int BESIDE_FROZEN = 2;  // also beside frozen samples, where many cells are small
 constexpr int BAND = 4;           // rows of roots that are solved in order, each from the one before
 constexpr int STRIDE = 48;        // pixels of a row of a root, and padding for whole vectors
 
-// Samples that lie `step` pixels apart, the first at `offset`; `size` of them: the pixels themselves, or chroma.
+// A grid of `size` samples, `step` pixels apart, the first at `offset`: the pixels themselves, or chroma.
 struct Grid {
     int step[2] = {1, 1};
     double offset[2] = {0, 0};
@@ -51,7 +51,7 @@ struct Grid {
 
 typedef std::array<int, 4> Box;  // x0, x1, y0, y1
 
-// The source points of some samples side by side: whole numbers and fractions, in samples; the columns of ∂p/∂q.
+// The source points of samples of a row, as whole numbers and fractions, in samples; and the columns of ∂p/∂q.
 template <int D>
 struct Row {
     alignas(64) int whole[D][STRIDE];
@@ -61,10 +61,10 @@ struct Row {
     bool same[STRIDE];                         // true outside the balls of all strokes, and where it is frozen
     bool some_same, idle;                      // whether any is the same; whether all are, so that nothing else is set
     bool sloped;                               // whether the derivatives are set
-    int count;                                 // of the samples of its root
+    int count;                                 // the number of samples of its root
 };
 
-// Which rows of samples have their derivatives found: none, those of roots where the map may shrink, or all.
+// Which rows get derivatives: none, those of roots where the map may shrink, or all.
 enum class Slopes { NONE, SHRINKING, ALL };
 
 // Bounds of source points: of each coordinate; of the distance to q; of |∂p/∂x|² + |∂p/∂y|² in the plane; of |∂p_z/∂q|;
@@ -90,10 +90,10 @@ struct Extent {
     }
 };
 
-// What the checks of a map say.
+// The results of a map's checks.
 struct Checks {
     double error = 0;        // a bound on the distance of a source point to T⁻¹(q), with a reserve
-    double evaluations = 0;  // of T with its Jacobian
+    double evaluations = 0;  // evaluations of T with its Jacobian
     long unsolved = 0, folds = 0;
     long outside = 0;   // points beyond the grids of a composite's fields
     double widest = 1;  // a bound of max(λ₋, λ₊/400) of MMᵀ: it determines the depth of a pyramid
@@ -111,8 +111,8 @@ struct Checks {
 template <int D>
 class Plan : public Checks {
 public:
-    // Of strokes, or of a composite map; all of the plane, or the rows and columns of a box (x0, x1, y0, y1) and more.
-    // `masks` has the freezes between the strokes.
+    // A plan of strokes, or of a composite map; for all of the plane, or at least the rows and columns of a box (x0,
+    // x1, y0, y1). `masks` has the freezes between the strokes.
     Plan(Strokes strokes, int width, int height, double z, double tolerance,
          std::shared_ptr<const Composite> map = nullptr, const Box* box = nullptr, const Frozen* masks = nullptr);
 
@@ -127,8 +127,8 @@ public:
         const Root& r = roots[root];
         return r.held ? under->is_still(root) : r.leaves == 0 && r.first_pixel < 0;
     }
-    // Call use(row, x, y, n, at) for the samples x to x + n - 1 of row y, from `at` on in `row`, for all that lie in a
-    // row of roots and in [x0, x1) × [y0, y1).
+    // Call use(row, x, y, n, at) for the samples of a row of roots in [x0, x1) × [y0, y1): samples x to x + n - 1 of
+    // row y are those from `at` on in `row`.
     typedef std::function<void(const Row<D>& row, int x, int y, int n, int at)> Use;
     void each_row(const Grid& grid, int root_row, const int (&box)[4], Slopes slopes, const Use& use) const;
     // Bounds of the source points of a root, or of all.
@@ -156,24 +156,24 @@ private:
         double q[2], p[D], m[D][D];
         int node, root;
     };
-    struct Checked {  // of a cell
+    struct Checked {  // the patch of a cell, checked
         double c[D][16], across_plane[D];
-        double step[5][D];  // at its centre and those of its sides: Newton steps from the patch to T⁻¹(q)
+        double step[5][D];  // Newton steps from the patch to T⁻¹(q), at the centres of the cell and of its sides
         bool too_wide, too_high;
     };
     struct Root {
         int band = 0, first = -1, leaves = 0;
-        ptrdiff_t first_pixel = -1;  // of the band's, if every pixel is solved
+        ptrdiff_t first_pixel = -1;  // index among the band's pixels, if every pixel is solved
         bool rim = false;            // some of its pixels may lie outside every ball, or be frozen
-        bool held = false;           // all of it is as the strokes before a freeze have it
-        float largest = 1;           // as that of its extent
+        bool held = false;           // a freeze holds all of it: the map is that of the strokes before
+        float largest = 1;           // `largest` of its extent
     };
     struct Pixel {
         float part[D], across[2], down[2], depth2;  // relative to the anchor of its root
     };
     struct Band : Checks {
         std::vector<Pixel> pixels;
-        std::vector<std::array<int, D>> anchors;  // of a root, by its column and row in the band
+        std::vector<std::array<int, D>> anchors;  // for each root of the band, row by row
         std::vector<Extent<D>> extents;
         std::vector<Leaf<D>> leaves;
         std::vector<int> next;  // the next leaf of the same root
@@ -184,7 +184,7 @@ private:
         std::vector<Node<D>> nodes;
         std::vector<Cell> cells, split;
         std::vector<Ask> asks;
-        std::vector<int> list;         // of the strokes that reach some roots, one for each lane
+        std::vector<int> list;         // the strokes that reach some roots, one root for each lane
         std::vector<uint8_t> reached;  // for each stroke of the list, the lanes whose roots it reaches
     };
 
@@ -215,14 +215,14 @@ private:
     const Strokes all;
     const std::vector<Stroke>& strokes = all.table;
     const Axes& axes = all.axes;
-    std::vector<Bound> bounds;          // of each stroke
+    std::vector<Bound> bounds;          // bounds of each stroke
     const Frozen* freeze;               // the mask, if it concerns any stroke
-    const Frozen* hold = nullptr;       // that of the last freeze between strokes, if it holds any of the box
-    int held_rows = 0;                  // the strokes before it,
+    const Frozen* hold = nullptr;       // the mask of the last freeze between strokes, if it holds any of the box
+    int held_rows = 0;                  // the number of rows before that,
     std::unique_ptr<const Plan> under;  // and their plan, where it holds
     int size[2], last[2], across, down;
     size_t words;
-    int first_limited = 0;           // the last of the first group with a reach: balls are not carried back beyond it
+    int first_limited = 0;           // the end of the first group with a reach: balls are mapped back no further
     std::vector<uint64_t> reaching;  // for each root, a set of strokes
     std::vector<Root> roots;
     std::vector<Band> bands;

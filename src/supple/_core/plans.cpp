@@ -15,7 +15,7 @@ namespace {
 typedef nb::ndarray<nb::ro, nb::c_contig, nb::device::cpu> Source;
 typedef nb::ndarray<nb::c_contig, nb::device::cpu> Target;
 typedef Array<const float, -1, -1, -1, 4> Fields;
-// Of the motion between frames: displacements, the longest of each pair, the position of the first, and their distance.
+// The motion between frames: displacements, the longest of each pair, the position of the first, and their distance.
 typedef std::tuple<Fields, std::vector<float>, double, double, double> Displacements;
 
 int type_of(nb::dlpack::dtype d) {
@@ -38,7 +38,7 @@ struct Sampling {
     Job job{};
     bool partial;
 
-    // Of frames of a larger size, `frames` has the part from the sample (x, y) of frame k on: corner = (x, y, k).
+    // With a corner (x, y, k), `frames` has the part of larger frames from the sample (x, y) of frame k on.
     Sampling(Source frames, Target out, int count, std::tuple<int, int> step, std::tuple<double, double> offset,
              int filter, int between, int rule, bool average, std::vector<double> fill_, int alpha, bool light,
              double white, std::optional<std::tuple<int, int, int>> corner, std::optional<std::tuple<int, int>> size,
@@ -94,7 +94,7 @@ struct Sampling {
     Sampling(const Sampling&) = delete;
 };
 
-// Whether no sample is NaN or infinite: of no other number are all bits of the exponent set.
+// Whether no sample is NaN or infinite: only these have all bits of the exponent set.
 template <class Bits>
 bool all_finite(const Bits* samples, size_t count, Bits exponent) {
     constexpr size_t some = 1 << 15;
@@ -116,14 +116,14 @@ bool finite(Source samples) {
     });
 }
 
-// A part of the frames that is held must have all that is read.
+// Whether the part of the frames in memory has all samples that a plan reads.
 template <int D>
 bool suffices(const Plan<D>& plan, const Sampling& s, const Job& job) {
     return !s.partial || held_of(job).holds(needed(plan, job));
 }
 void refuse_small() { throw nb::value_error("the samples read lie beyond the part of the frames that is held"); }
 
-// The size of a job's output: that of the part of the grid, or of the whole grid; of strokes alone, that of the frames.
+// Check the size of a job's output: that of the part of the grid, or of the whole grid; or, for strokes, of the frames.
 void check_size(const Job& job, bool composite, bool part, const Box& box, int width, int height) {
     const int w = job.grid.size[0], h = job.grid.size[1];
     bool fits = part        ? w == box[1] - box[0] && h == box[3] - box[2]
@@ -133,7 +133,7 @@ void check_size(const Job& job, bool composite, bool part, const Box& box, int w
     if (!fits) throw nb::value_error("out must have the size of the part of the grid, or of the frames");
 }
 
-// A job of a part of a plan's grid: `out` begins at its corner.
+// The job for a part of a plan's grid: `out` begins at the corner of the part.
 Job placed(Job job, const Box& box, int width, int height) {
     job.grid.size[0] = width;
     job.grid.size[1] = height;
@@ -221,7 +221,7 @@ nb::tuple warp_stack(const Doubles& table, const AxisRows& rows, int height, int
         parallel((int)planes.size(), [&](int i, int) {
             Plan<3> plan(strokes, width, height, planes[i], tolerance, composite, &box, freeze.value_or(nullptr));
             checks[i] = plan;
-            // A plane is copied where all of it moves by less than the tolerance: a part of it, too.
+            // A plane is copied if no displacement in all of it exceeds the tolerance; then a part of it is, too.
             auto unmoved = [&](const Plan<3>& p) { return p.identity || p.extent().moved * sqrt(3.0) <= tolerance; };
             bool still = !composite && (copied ? (*copied)[i] : unmoved(plan));
             if (!copied && still && !plan.identity && wanted && box != Box{0, width, 0, height})

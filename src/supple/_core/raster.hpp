@@ -1,10 +1,10 @@
-// Triangles and lines before the camera of a volume: for each ray, the nearest of them, and its light.
+// Triangles and lines in front of the camera of a volume: the nearest one of each ray, and its light.
 //
 // In millimetres along the volume's axes from the eye, a point is P = X right + Y down + Z ahead, and a ray is
 // d = x right + y down + ahead, for a pixel (x, y). With w_i = d · (P_j × P_k), the ray meets the plane of a triangle
-// at Σ w_i P_i / Σ w_i, and the triangle if no two w_i differ in sign: exact in perspective, and corners behind the eye
-// need no care. Triangles that share an edge have the same w for it, but for the sign, so no ray goes through between
-// them.
+// at Σ w_i P_i / Σ w_i, and the triangle if no two w_i differ in sign: this is exact in perspective, and corners behind
+// the eye need no special case. Triangles that share an edge have the same w for it up to the sign, so no ray passes
+// between them.
 #pragma once
 #include "raymarch.hpp"
 #include "threads.hpp"
@@ -14,7 +14,7 @@ namespace supple {
 constexpr int STRIP = 16;            // rows of rays that a thread draws
 constexpr int CHUNK = 1 << 14;       // triangles and lines that a thread sorts into strips
 constexpr double BEFORE_EYE = 1e-6;  // millimetres: where lines begin that go through the eye's plane
-constexpr float SMOOTH = 0.766f;     // cos 40°: corners whose normal is farther off the triangle's are of an edge
+constexpr float SMOOTH = 0.766f;     // cos 40°: a corner whose normal differs more from the triangle's is on an edge
 
 struct Mesh {
     const double* points;  // millimetres along the volume's axes
@@ -28,13 +28,13 @@ struct Mesh {
     double radius;  // of lines, in pixels
 };
 
-// The rays of a picture: pixels, from its centre.
+// The rays of a picture, as pixel positions from its centre.
 struct Rays {
     const double *columns, *rows;
     int width, height;
 };
 
-// A point from the eye: millimetres ahead, and along the steps to the pixels right and below at a millimetre.
+// A point x right + y down + z ahead of the eye: z is in millimetres, and (x / z, y / z) is its pixel.
 struct Seen {
     double x, y, z;
     friend Seen cross(Seen a, Seen b) { return {a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x}; }
@@ -42,7 +42,7 @@ struct Seen {
     bool operator<(const Seen& o) const { return x != o.x ? x < o.x : y != o.y ? y < o.y : z < o.z; }
 };
 
-// Two points of a line where it is before the eye, or none.
+// Clip a line to the part in front of the eye; false if there is none.
 inline bool clip(Seen& a, Seen& b) {
     if (a.z < BEFORE_EYE && b.z < BEFORE_EYE) return false;
     for (Seen* p : {&a, &b}) {
@@ -54,7 +54,7 @@ inline bool clip(Seen& a, Seen& b) {
     return true;
 }
 
-// The pixels that what is between some points covers.
+// The range of pixels that an item covers.
 struct Covered {
     double left = NEVER, right = -NEVER, top = NEVER, bottom = -NEVER;
     void add(Seen a, Seen b, double around) {
@@ -70,7 +70,7 @@ struct Covered {
 
 class Raster {
 public:
-    // Draw a mesh into what each ray ends at: red, green and blue in linear light, and millimetres from the eye.
+    // Draw a mesh into the ends of rays: red, green and blue in linear light, and millimetres from the eye.
     Raster(const Look& look, const Rays& rays, const Mesh& mesh, float* out)
         : look(look), rays(rays), mesh(mesh), out(out), seen(mesh.count) {
         const Double4 axes[] = {look.right, look.down, look.ahead};
@@ -125,7 +125,7 @@ private:
             all.add(seen[at[k]], seen[at[line ? 1 : (k + 1) % 3]], line ? mesh.radius : 0);
         return all;
     }
-    // The first and the last of evenly spaced positions in a range, and sometimes one more at each end.
+    // The first and the last of evenly spaced positions in a range; rounding may add one at each end.
     static std::pair<int, int> within(const double* at, int n, double low, double high) {
         if (!(low <= high)) return {0, -1};
         double per = n > 1 ? (n - 1) / (at[n - 1] - at[0]) : 1;
@@ -133,7 +133,7 @@ private:
         return {most(int(place(low)), 0), least(int(place(high)) + 1, n - 1)};
     }
 
-    // Call `f` with the pixels of an item between two rows, by row and column.
+    // Call f(row, first column, last column) for each row of an item between two rows.
     template <class F>
     INLINE void cover(int64_t i, int top, int bottom, F&& f) const {
         const Covered all = covered(i);
@@ -182,7 +182,7 @@ private:
         });
     }
 
-    // What is z ahead of the eye on a ray is what is seen there, if nothing nearer is.
+    // Set the end of a ray to the point z ahead of the eye, if nothing nearer is there.
     template <class F>
     INLINE void hit(int row, int column, double z, F&& colour) const {
         Double4 along = look.ahead + rays.columns[column] * look.right + rays.rows[row] * look.down;
@@ -195,7 +195,7 @@ private:
         memcpy(to, &made, sizeof made);
     }
 
-    // The normal at a point of a triangle, from those of its corners, or its own where it has an edge.
+    // The normal at a point of a triangle: from the normals of its corners, but its own for corners on an edge.
     INLINE Float4 normal(const int32_t* at, const double* weights) const {
         double p[3][3];
         for (int k = 0; k < 3; k++) memcpy(p[k], mesh.points + 3 * int64_t(at[k]), sizeof p[k]);
@@ -216,7 +216,7 @@ private:
         return sum;
     }
 
-    // The light of a surface with a normal, as `Beam::shade` has it.
+    // The light of a surface with a normal, as in `Beam::shade`.
     INLINE Float4 lit(Float4 normal, Double4 along) const {
         if (!look.shaded) return mesh.colour;
         const Float4 way = floats(along), half = look.lamp - way;

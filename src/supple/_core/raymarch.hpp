@@ -1,13 +1,13 @@
 // A volume rendered through a camera: rays from the eye, their first surface, and the part behind it.
 //
-// The paper's Algorithm 3: the entry of a ray into the box, its first sample above a threshold, the surface before that
-// by bisection, and from there on steps through a transfer function, composited front to back by
-// c ← c + (1 - α) α_v c_v and α ← α + (1 - α) α_v: equal to the paper's back to front, with an early end. Colour and
-// opacity of a step are those of all values from its first to its last, as if they were linear in between
-// (pre-integration): what is visible of them is not missed, however narrow a window it is. A deformed
-// volume is sampled at p = T⁻¹(q), and its gradient is (∂p/∂q)ᵀ ∇f. Rays are clipped against a box; what it cuts
-// through is lit as the plane that it is, since gradients within a body point anywhere. Rays of neighbouring pixels are
-// marched together, one in each lane of a vector; voxels are read lane by lane.
+// The paper's Algorithm 3: a ray enters the box; its first sample in the visible range, and, by bisection, the surface
+// before it; from there on, steps through a transfer function, composited front to back by c ← c + (1 - α) α_v c_v and
+// α ← α + (1 - α) α_v. This equals the paper's back to front, but can end early. Colour and opacity of a step are those
+// of all values from its first to its last, as if these were linear in between (pre-integration), so that no visible
+// values are missed, however narrow their range. A deformed volume is sampled at p = T⁻¹(q), and its gradient is
+// (∂p/∂q)ᵀ ∇f. Rays are clipped against a box; its cut faces are lit as planes, as gradients within a body may point
+// anywhere. Rays of neighbouring pixels are marched together, one in each lane of a vector; voxels are read lane by
+// lane.
 #pragma once
 #include <array>
 #include <cmath>
@@ -20,40 +20,40 @@
 namespace supple {
 
 constexpr int BRICK = 4;          // voxels; a brick holds one more along each axis, its neighbour's first
-constexpr int BISECTIONS = 2;     // before the surface is found by a straight line between two values
-constexpr int HALVINGS = 6;       // of labels, which have no values between
-constexpr double EXACT = 1e-3;    // the last Newton step at a sample that is inverted, in voxels
-constexpr float OPAQUE = 0.995f;  // the opacity at the end of a ray
-constexpr double LAYER = 4;       // voxels behind a cut face over which the light of gradients takes over
+constexpr int BISECTIONS = 2;     // before the surface is placed by linear interpolation
+constexpr int HALVINGS = 6;       // the same for labels, which have no values in between
+constexpr double EXACT = 1e-3;    // voxels: the largest last Newton step of an inverted sample
+constexpr float OPAQUE = 0.995f;  // the opacity at which a ray ends
+constexpr double LAYER = 4;       // voxels behind a cut face over which its light gives way to that of gradients
 constexpr float AMBIENT = 0.15f, DIFFUSE = 0.8f, SPECULAR = 0.2f;  // and the highlight's power is 16
 constexpr int TILE = 8;                                            // pixels along a tile's side
 constexpr double NEVER = std::numeric_limits<double>::infinity();
 constexpr int NODE = 16;  // numbers of a lattice's node: u and the columns of ∂p/∂q, each padded with a 0
 
-// The appearance of a volume: a camera, the light, and a transfer function. In millimetres along the volume's axes,
-// except for the eye, in voxels.
+// The appearance of a volume: a camera, the light, and a transfer function. Lengths are millimetres along the volume's
+// axes, except those of the eye, which is in voxels.
 struct Look {
     Double4 eye, spacing, ahead, right, down;  // the ray of a pixel (x, y): ahead + x right + y down
-    Double4 first, last;                       // the corners of the box that is seen, in voxels
+    Double4 first, last;                       // the corners of the visible box, in voxels
     float step, per_step;                      // millimetres from sample to sample; 1 / that
     float per_layer;                           // 1 / the millimetres of LAYER
     Float4 lamp, per_voxel;                    // the position of the light; 1 / spacing, and 1
     bool shaded;
     std::vector<uint8_t> skips;  // the distance in bricks to the next visible one
-    int row, layer;              // of bricks
+    int row, layer;              // strides of bricks
     Int4 last_brick;
     std::vector<Float4> table;  // linear red, green and blue, and the opacity of a step
-    std::vector<Double4> sums;  // of extinction times colour, and of extinction, of all entries before each
-    float low, scale;           // the first entry's value, and entries for each unit
+    std::vector<Double4> sums;  // prefix sums of extinction times colour, and of extinction
+    float low, scale;           // the value of the first entry, and entries per unit
     float last_entry;
     float threshold, top;  // the visible range
-    Double4 plane;         // what lies beyond it is cut away: its normal, and its distance from the first voxel
-    float silhouettes;     // by how much surfaces darken that are seen from the side
-    // The part of the light that arrives at the nodes of a grid, if there are shadows.
+    Double4 plane;         // cuts away what lies beyond it: its normal, and its distance from the first voxel
+    float silhouettes;     // how much surfaces darken at grazing angles
+    // With shadows, the fraction of the light that arrives at the nodes of a grid.
     std::vector<float> arrives;
     std::array<int64_t, 3> nodes;
     Float4 first_node, per_node;  // the node of a voxel is first_node + per_node voxel
-    bool labelled;                // values are numbers of labels, see Labels
+    bool labelled;                // whether values are numbers of labels (`Labels`)
     enum { COMPOSITED, MAXIMUM, MINIMUM, AVERAGE } projection;
 
     template <class V>
@@ -65,8 +65,8 @@ struct Look {
     INLINE float arriving(Float4 q) const {
         return Voxels(arrives.data(), nodes[0], nodes[1], nodes[2]).sample(first_node + per_node * q);
     }
-    // Of a step between labels, which are not mixed: half of one before half of the other; and where the middle of what
-    // is visible is, from 0 to 1.
+    // The light of a step between two labels, which are not mixed: half a step of each; and the middle of its visible
+    // part, from 0 to 1.
     INLINE Float4 halves(float a, float b, float part, float& middle) const {
         Float4 one = colour(a), other = colour(b);
         middle = a == 0 ? 0.75f : b == 0 ? 0.25f : 0.5f;
@@ -77,7 +77,7 @@ struct Look {
         mixed[3] = all;
         return mixed;
     }
-    // The sums before an entry.
+    // The prefix sums before an entry, interpolated.
     INLINE Double4 before(float entry) const {
         float at = entry + 0.5f;
         int k = least(int(at), int(last_entry));
@@ -89,14 +89,14 @@ struct Look {
 
 constexpr int RAYS = REGISTER > 16 ? 8 : 4;
 typedef Pack<float, RAYS> Floats;
-typedef int32_t Chosen __attribute__((vector_size(sizeof(float) * RAYS)));  // -1 for those that are, and 0 for others
+typedef int32_t Chosen __attribute__((vector_size(sizeof(float) * RAYS)));  // -1 for chosen rays, 0 for the others
 constexpr float ENDLESS = std::numeric_limits<float>::infinity();
 
 INLINE Floats root(Floats x) {
-    for (int l = 0; l < RAYS; l++) x[l] = __builtin_sqrtf(x[l]);  // an instruction for all of them
+    for (int l = 0; l < RAYS; l++) x[l] = __builtin_sqrtf(x[l]);  // compiles to one instruction
     return x;
 }
-// A bit for each that is chosen.
+// The mask as bits, one for each ray.
 INLINE unsigned bits(Chosen lanes) {
 #if defined(__AVX__)
     return (unsigned)_mm256_movemask_ps((__m256)lanes);
@@ -113,7 +113,7 @@ INLINE void each(Chosen lanes, F&& f) {
     for (unsigned left = bits(lanes); left; left &= left - 1) f(__builtin_ctz(left));
 }
 
-// A number of each ray: all of them together, or one by one.
+// A number for each ray, as a vector or one by one.
 template <class V, class S>
 struct Each {
     union {
@@ -124,7 +124,7 @@ struct Each {
 };
 typedef Each<Floats, float> Number;
 
-// Three numbers of each ray.
+// Three numbers for each ray.
 struct Triple {
     Number part[3];
 
@@ -140,15 +140,15 @@ INLINE Floats dot3(const Triple& a, const V& b) {
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
 }
 
-// A volume of any kind, between its voxels, at a point of each of some rays: in voxels. Kernels of rays call it, so
-// that they are compiled once for all kinds.
+// A volume of any kind, interpolated at a point of each chosen ray, in voxels. Kernels of rays call it, so that they
+// are compiled once for all kinds.
 struct Volume {
     const bool coloured;
 
     virtual Floats values(const Triple& p, Chosen lanes) const = 0;
     // The gradients, per voxel.
     virtual void slopes(const Triple& p, Chosen lanes, Triple& found) const = 0;
-    // The colours of their own, with the opacity of the transfer function.
+    // The volume's own colours, with the opacity of the transfer function.
     virtual void paint(const Triple& p, Chosen lanes, Triple& colour) const = 0;
 
 protected:
@@ -187,19 +187,19 @@ struct VolumeOf final : Volume {
     }
 };
 
-// Some rays, and their results so far. They start where they enter the box, from where distances along them are
-// measured, in millimetres; steps are counted, since a running sum would lose accuracy.
+// Some rays, and their results so far. Distances along them are in millimetres from where they enter the box. Steps are
+// counted, as a running sum would lose accuracy.
 struct Beam {
     double near[RAYS] = {};                                   // millimetres from the eye to where they enter
-    Triple first, way, along;                                 // there, in voxels; voxels, and millimetres, a millimetre
+    Triple first, way, along;                                 // the entry, in voxels; voxels and mm per mm
     Number end{Floats{} - 1};                                 // where they leave the box; below 0 if they miss it
     Number from{Floats{} + ENDLESS}, to{Floats{} - ENDLESS};  // the range in which strokes reach them
     Number surface{Floats{} + ENDLESS}, opaque{Floats{} + ENDLESS};  // the first surface, and where opacity passes 0.9
     Number light[4];                                                 // premultiplied linear colour, and opacity
     Each<Chosen, int32_t> samples;
-    double steps[RAYS] = {};  // of Newton's method
+    double steps[RAYS] = {};  // Newton steps
 
-    // Make a lane the ray of a pixel (x, y), which goes on to a distance from the eye.
+    // Set a lane to the ray of a pixel (x, y), which ends at a distance from the eye.
     INLINE void enter(const Look& look, int l, double x, double y, double limit) {
         Double4 d = look.ahead + x * look.right + y * look.down;
         d *= 1.0 / root(d[0] * d[0] + d[1] * d[1] + d[2] * d[2]);
@@ -234,7 +234,7 @@ struct Beam {
         if (enters > boxed) face.one[l] = float(std::abs(lamp));
     }
 
-    // March through a volume; `source` has the source of a point.
+    // March through a volume; `source` maps a point to its source point.
     template <class Source>
     void march(const Look& look, const Volume& voxels, Source&& source) {
         live = Floats{} <= end.all;
@@ -280,7 +280,7 @@ struct Beam {
         work[1] = (int64_t)steps[l];
     }
 
-    // The points at some distances, in voxels.
+    // The points at distances along the rays, in voxels.
     INLINE Triple points(Floats t) const {
         Triple q;
         for (int i = 0; i < 3; i++) q[i] = first[i] + t * way[i];
@@ -289,18 +289,18 @@ struct Beam {
     INLINE Chosen moved(Floats t) const { return (t >= from.all) & (t <= to.all); }
 
 private:
-    Triple per_voxel, half;     // 1 / way; between the lamp and the eye
-    Number face{Floats{} - 1};  // the cosine of the lamp's angle to the cut face, as long as it is seen from there on
-    Chosen live{}, known{};     // those that go on; those whose value at the start of their step is known
-    Chosen inside{};            // those whose next step may not be skipped
-    Floats base{}, count{};     // where steps are counted from, and their number so far
+    Triple per_voxel, half;     // 1 / way; the half vector between the lamp and the eye
+    Number face{Floats{} - 1};  // the cosine of the lamp's angle to the cut face while it is visible, or -1
+    Chosen live{}, known{};     // rays that have not ended; rays whose value at the start of the step is known
+    Chosen inside{};            // rays whose next step must not be skipped
+    Floats base{}, count{};     // where the count of steps starts, and the count
     Number before, after;       // the values at both ends of a step
 
     INLINE Floats at(const Look& look, int steps) const {
         return least(Floats(base + (count + float(steps)) * look.step), end.all);
     }
 
-    // Go on to visible bricks.
+    // Advance rays to visible bricks.
     INLINE void hop(const Look& look) {
         Chosen left = live & ~inside & ~moved(at(look, 0)), hopped{};
         while (bits(left)) {
@@ -322,7 +322,7 @@ private:
             }
             leave = t < from.all ? least(leave, Floats(from.all - t)) : leave;
             const Floats last =
-                rounded_up((end.all - base) * look.per_step);  // what is left before the end may be visible
+                rounded_up((end.all - base) * look.per_step);  // the remaining steps before the end may be visible
             const Floats next =
                 least(Floats(count + most(rounded_up(leave * look.per_step - 1e-3f), Floats{} + 1)), last);
             live &= ~(left & (t >= end.all));
@@ -331,7 +331,7 @@ private:
             left &= live & ~moved(at(look, 0));
         }
         if (!bits(hopped)) return;
-        count = hopped ? most(Floats(count - 1), Floats{}) : count;  // a step that lies partly in this brick
+        count = hopped ? most(Floats(count - 1), Floats{}) : count;  // back to the step that lies partly in this brick
         known &= ~hopped;
         face.all = hopped ? Floats{} - 1 : face.all;
     }
@@ -340,18 +340,17 @@ private:
         return x > down ? down + 1 : down;
     }
 
-    // The values at some distances, of chosen rays.
+    // The values at distances along chosen rays.
     template <class Source>
     NOINLINE Floats values(const Volume& voxels, Source& source, const Number& t, Chosen lanes) {
         samples.all -= lanes;
         return voxels.values(source.place(*this, t, lanes), lanes);
     }
 
-    // The side of the visible range on which values are: -1, 0 in between, or 1.
+    // The position of values relative to the visible range: 0 within it, -1 or 1 on either side.
     INLINE static Chosen side(const Look& look, Floats value) { return (value < look.threshold) - (value > look.top); }
 
-    // Look for the first surface of rays in a step. Those within whose step it lies begin anew from it; they are
-    // returned.
+    // Find the first surface of rays in a step. Rays with a surface within the step restart at it; they are returned.
     template <class Source>
     INLINE Chosen find(const Look& look, const Volume& voxels, Source& source, const Number& start, const Number& stop,
                        Chosen lanes) {
@@ -367,7 +366,7 @@ private:
             u = same ? value : u;
             v = same ? v : value;
         }
-        if (!look.labelled) {  // by a straight line to the end of the visible range
+        if (!look.labelled) {  // by linear interpolation to the end of the visible range
             const Floats limit = outer < 0 ? Floats{} + look.threshold : Floats{} + look.top;
             high = low + (high - low) * ((limit - u) / (v - u));
             v = limit;
@@ -379,8 +378,8 @@ private:
         return within;
     }
 
-    // Colours and opacities of a share of a step, along which values go from `before` to `after`; and where the middle
-    // of what is visible is, from 0 to 1.
+    // Colours and opacities of a fraction of a step, along which values go from `before` to `after`; and the middle of
+    // its visible part, from 0 to 1.
     INLINE Floats blend(const Look& look, Floats share, Chosen lanes, Triple& colour, Floats& middle) const {
         const Floats lowest = Floats{} + look.threshold, highest = Floats{} + look.top, a = before.all, b = after.all;
         const Number from(least(most(a, lowest), highest)), to(least(most(b, lowest), highest));
@@ -406,7 +405,7 @@ private:
         return opacity.all;
     }
 
-    // exp(-x) of numbers from 0 on, to 2e-7.
+    // exp(-x) for x ≥ 0, with an error of up to 2e-7.
     INLINE static Floats fading(Floats x) {
         x = least(x, Floats{} + 80.0f) * 1.44269504f;  // as powers of 2
         const Chosen k = __builtin_convertvector(x + 0.5f, Chosen);
@@ -416,7 +415,7 @@ private:
         return power * (Floats)((127 - k) << 23);
     }
 
-    // Add the light of a step. Returns the rays that see something of it.
+    // Add the light of a step. Returns the rays for which some of it is visible.
     template <class Source>
     INLINE Chosen shade(const Look& look, const Volume& voxels, Source& source, const Number& start, const Number& stop,
                         Chosen lanes) {
@@ -497,7 +496,7 @@ private:
     }
 };
 
-// The sources of points: the points themselves ...
+// Source points: the points themselves ...
 struct Still {
     Triple place(const Beam& beam, const Number& t, Chosen) { return beam.points(t.all); }
     void turn(const Look& look, const Number&, Triple& slope) const {
@@ -505,7 +504,7 @@ struct Still {
     }
 };
 
-// ... or T⁻¹ of them, where strokes reach a ray, each from the displacement of the ray's point before.
+// ... or T⁻¹ of them, where strokes reach a ray, with the last displacement on the ray as a guess.
 class Inverted {
 public:
     Inverted(const Strokes& strokes, const Look& look, Beam& beam) : strokes(strokes), look(look) {
@@ -571,7 +570,7 @@ private:
         return false;
     }
 
-    // T⁻¹ of q from the guess in `found.p`; without it, if it was not good enough for all lanes.
+    // Solve T⁻¹ of q from the guess in `found.p`, or without it if it is not good enough for all lanes.
     INLINE void settle(const Lanes* q, Solution<3, Lanes>& found) const {
         const Axis* axes = strokes.axes.data();
         const double tolerance = EXACT * finest_of<3>(axes);
@@ -589,10 +588,10 @@ private:
         found.steps += before;
     }
 
-    // Find the range in which strokes reach a ray.
+    // Extend the range of a ray in which strokes reach it.
     void reach(Beam& beam, int l) const {
         for (const Stroke& k : strokes.table) {
-            double b = 0, d2 = 0;  // the way to the nearest point, and the pivot's distance from the start
+            double b = 0, d2 = 0;  // the distance to the point nearest the pivot; the pivot's from the start, squared
             for (int i = 0; i < 3; i++) {
                 const double r = k.pivot[i] - double(beam.first.part[i].one[l]) * look.spacing[i];
                 b += r * double(beam.along.part[i].one[l]);
@@ -606,14 +605,14 @@ private:
     }
 };
 
-// ---- where a volume can be seen at all -----------------------------------------------------------------------------
+// ---- visible bricks of a deformed volume ---------------------------------------------------------------------------
 
-// The bricks of the deformed volume that show any visible one of the original, by bounds of their displacement. Bricks
-// of the original are `fine` voxels wide: narrower ones give closer bounds, as a displaced brick covers several.
-// `slack` is the distance of points from the lattice's bounds, in voxels.
+// The bricks of the deformed volume that may show a visible brick of the original, by bounds of the displacement.
+// Bricks of the original are `fine` voxels wide: narrower ones give closer bounds, as a displaced brick covers several.
+// `slack` is the largest error of the lattice's bounds, in voxels.
 inline void moved(const float* lattice, const int64_t* nodes, int step, const bool* seen, const int64_t* n, int fine,
                   float slack, const int64_t* bricks, bool* out) {
-    // Sums over all bricks before, so that any box of them is eight numbers.
+    // Prefix sums, by which the sum over any box of bricks is that of eight numbers.
     const int64_t row = n[0] + 1, layer = row * (n[1] + 1);
     std::vector<int64_t> sums(layer * (n[2] + 1));
     for (int64_t c = 0; c < n[2]; c++)
@@ -627,12 +626,12 @@ inline void moved(const float* lattice, const int64_t* nodes, int step, const bo
     const Float4 last_brick = {float(n[0] - 1), float(n[1] - 1), float(n[2] - 1), 0};
     for (int64_t e = 0; e < bricks[0] * bricks[1] * bricks[2]; e++) {
         const int64_t brick[3] = {e % bricks[0], e / bricks[0] % bricks[1], e / (bricks[0] * bricks[1])};
-        int64_t first[3], last[3];  // of the nodes around it
+        int64_t first[3], last[3];  // the nodes around the brick
         for (int i = 0; i < 3; i++) {
             first[i] = least(brick[i] * BRICK / step, nodes[i] - 1);
             last[i] = least((brick[i] * BRICK + BRICK + step - 1) / step, nodes[i] - 1);
         }
-        Float4 low[4], high[4];  // of u and the columns of M
+        Float4 low[4], high[4];  // bounds of u and of the columns of M
         for (int v = 0; v < 4; v++) low[v] = Float4{} + 1e30f, high[v] = Float4{} - 1e30f;
         for (int64_t k = first[2]; k <= last[2]; k++)
             for (int64_t j = first[1]; j <= last[1]; j++)
@@ -642,7 +641,7 @@ inline void moved(const float* lattice, const int64_t* nodes, int step, const bo
                         low[v] = least(low[v], value);
                         high[v] = most(high[v], value);
                     }
-        // Add the slopes to the lines between nodes.
+        // Between nodes, u may differ from the interpolated line by this much, as its slopes differ.
         Float4 bent = Float4{} + slack, corner = {float(brick[0]), float(brick[1]), float(brick[2]), 0};
         for (int v = 1; v < 4; v++) bent += 0.125f * step * (high[v] - low[v]);
         auto brick_at = [&](Float4 p) { return whole(least(most(p / float(fine), Float4{}), last_brick)); };

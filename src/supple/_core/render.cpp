@@ -23,7 +23,7 @@ void with_samples(const Samples& samples, F&& f) {
 }
 typedef std::optional<nb::ndarray<nb::ro, nb::ndim<4>, nb::c_contig, nb::device::cpu>> Colours;
 
-// Call `f` with the samples of a volume between its voxels: of values, of labels, or of values with colours.
+// Call `f` with a volume that interpolates samples: values, labels, or values with colours.
 void with_volume(const Samples& samples, const Colours& colours, bool labelled,
                  const std::function<void(const Volume&)>& f) {
     for (int i = 0; i < 3; i++) {
@@ -114,10 +114,10 @@ Look* make_look(Array<const double, 5, 3> camera, Solid<const uint8_t> skips, Ar
     return look;
 }
 
-// For the rays of `columns` by `rows`, pixels from the centre of the image: light (rows, columns, 4); depth (rows,
+// Render the rays of `columns` by `rows`, pixels from the centre of the image: light (rows, columns, 4); depth (rows,
 // columns, 2) of the first surface and where opacity passes 0.9, or infinity; and work (rows, columns, 2), samples and
-// evaluations. `ends` (rows, columns, 4) is what `raster` makes: opaque, behind what is seen of the volume before it,
-// and before projections, which are nowhere along their rays.
+// evaluations. `ends` (rows, columns, 4) is the output of `raster`: opaque, behind the part of the volume before it,
+// and in front of projections, which have no depth.
 void draw(Samples samples, Colours colours, const Look& look, const Strokes* strokes, Array<const double, -1> columns,
           Array<const double, -1> rows, Array<float, -1, -1, 4> light, Array<double, -1, -1, 2> depth,
           Array<int64_t, -1, -1, 2> work, std::optional<Array<const float, -1, -1, 4>> ends) {
@@ -154,8 +154,8 @@ void draw(Samples samples, Colours colours, const Look& look, const Strokes* str
     });
 }
 
-// Draw a mesh into what rays end at, (rows, columns, 4): colours in linear light and millimetres from the eye, at first
-// infinity. Points are in millimetres along the volume's axes, and normals of unit length or 0.
+// Draw a mesh into the ends of rays, (rows, columns, 4): colours in linear light, and millimetres from the eye,
+// initially infinite. Points are in millimetres along the volume's axes, and normals of unit length or 0.
 void raster(const Look& look, Triples points, Array<const float, -1, 3> normals, Array<const int32_t, -1, 3> triangles,
             Array<const int32_t, -1, 2> lines, std::array<float, 3> colour, double radius,
             Array<const double, -1> columns, Array<const double, -1> rows, Array<float, -1, -1, 4> out) {
@@ -169,7 +169,7 @@ void raster(const Look& look, Triples points, Array<const float, -1, 3> normals,
     unlocked([&] { Raster(look, rays, mesh, out.data()); });
 }
 
-// The smallest and the largest sample of each brick, of bricks that are `brick` voxels wide.
+// The smallest and the largest sample of each brick, `brick` voxels wide.
 void brick_ranges(Samples samples, int brick, Solid<float> lows, Solid<float> highs) {
     const auto n = sizes(samples), bricks = sizes(lows);
     for (int i = 0; i < 3; i++)
@@ -196,7 +196,7 @@ void brick_ranges(Samples samples, int brick, Solid<float> lows, Solid<float> hi
     });
 }
 
-// The mean of a table's entries, by the samples of each block, of blocks that are `wide` voxels wide.
+// The mean of a table's entries for the samples of each block, `wide` voxels wide.
 void mean_blocks(Samples samples, std::array<int64_t, 3> wide, Array<const float, -1> table, float low, float scale,
                  Solid<float> out) {
     const auto n = sizes(samples), blocks = sizes(out);

@@ -1,7 +1,7 @@
 // Rows of samples: eight at a time where they have one or two channels and lie close to each other, else one by one.
 //
-// Source points of neighbours are neighbours: the windows of eight lie in a few rows of samples. From each of these,
-// vectors are read, of which every lane picks its own sample, and all kernels are separable,
+// Source points of neighbours are neighbours: the windows of eight pixels lie in a few rows of samples. Vectors are
+// read from each of these rows, and every lane picks its own sample. All kernels are separable,
 //
 //     v = Σ_r Σ_j d_rj Σ_i a_ri f(x + i, y + j),
 //
@@ -19,7 +19,7 @@ constexpr int BLOCK = 8;
 typedef Pack<float, BLOCK> Eight;
 typedef Pack<int32_t, BLOCK> Eights;
 
-// In a block, frame `first + i` has weight[i], and the constant beyond a clip's ends `constant`.
+// The mixture of frames in a block: frame `first + i` has weight[i], and the constant beyond a clip's ends `constant`.
 struct Times {
     static constexpr int MOST = 6;
     int first = 0, count = 1;
@@ -55,7 +55,7 @@ INLINE void cubic_weights(Eight f, Eight* w) {
     for (int i = 0; i < 4; i++)
         w[i] = KEYS_POWERS[0][i] + f * (KEYS_POWERS[1][i] + f * (KEYS_POWERS[2][i] + f * KEYS_POWERS[3][i]));
 }
-// Those of a spot: its left points by its first column on, its right ones by the next where they are `shift`ed.
+// The weights of a spot: its left points use its columns, and its right points the next ones where `shift` is set.
 INLINE void spot_weights(const Prints& prints, int k, Weights<2, WINDOW>& w) {
     Eight second[4];
     cubic_weights(load<float, BLOCK>(prints.first + k), w.across[0]);
@@ -89,7 +89,7 @@ INLINE int least_of(Eights v, int& above) {
     above = 0x7fff - least(0x7fff) - low;
     return first + low;
 }
-// The first n of eight; the others are as the first.
+// The first n of eight numbers, and the first one in place of the others.
 INLINE Eights first_of(const int* v, int n) {
     constexpr Eights lane = {0, 1, 2, 3, 4, 5, 6, 7};
     return lane < n ? load<int32_t, BLOCK>(v) : v[0];
@@ -97,8 +97,8 @@ INLINE Eights first_of(const int* v, int n) {
 
 // The relative positions of the windows of a block.
 struct Windows {
-    int x, y;       // the first sample of the leftmost, and of the uppermost
-    int wide, low;  // the extent of the others: to the right, and down
+    int x, y;       // the first sample of the leftmost window, and that of the uppermost
+    int wide, low;  // the distance of the others, to the right and down
     Eights across, lower;
 
     INLINE Windows(const int* xs, const int* ys, int n) {
@@ -109,7 +109,7 @@ struct Windows {
         across -= x;
         lower -= y;
     }
-    // True if samples `before` and `after` them are all within the frames, and vectors can hold a row.
+    // True if all samples, from `before` to `after` those of the windows, are within the frames, and fit vectors.
     template <int C, class T>
     INLINE bool readable(const Frames<T>& f, int before, int after) const {
         return low <= 1 && wide * C + C <= 2 * BLOCK && x >= before && x + wide + after < f.w && y >= before &&
@@ -117,7 +117,7 @@ struct Windows {
     }
 };
 
-// The sum of a row or frame: 0 for lanes that do not need it, for any samples.
+// A term of a sum over rows or frames: 0 for lanes with a weight of 0, whatever their sample is.
 template <class T>
 INLINE Eight counted(Eight weight, Eight v) {
     if constexpr (std::numeric_limits<T>::is_integer)
@@ -193,20 +193,20 @@ NOINLINE bool sample_block(const Frames<T>& f, const Row<D>& row, const Prints& 
 
 // ---- one by one -----------------------------------------------------------------------------------------------------
 
-// Pixels of a row whose positions choose the kernels: they do not depend on the wanted part, since kernels round
-// differently.
+// A run of pixels that is sampled by the same kernel. Runs depend on positions in a row, not on the wanted part, as
+// kernels round differently.
 struct Run {
     int from, end;
 };
 
-// The reader of a row's samples: if `inside`, all are within the frames, with 32-bit indices.
+// The places of a row's samples. If `inside`, all windows are within the frames, and indices have 32 bits.
 struct Places {
     alignas(64) int at[STRIDE];
     bool inside;
 
     template <int LEFT, int RIGHT, int C, class T>
     INLINE void find(const Frames<T>& f, const int* x, const int* y, int from, int end) {
-        // A window that begins before a frame's first sample lies far beyond it, as an unsigned number.
+        // The start of a window before a frame's first sample is a huge unsigned number.
         uint32_t most_x = 0, most_y = 0;
         for (int k = from; k < end; k++) {
             at[k] = (int)((uint32_t)y[k] * (uint32_t)f.row + (uint32_t)x[k] * (uint32_t)C);

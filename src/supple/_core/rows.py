@@ -1,4 +1,4 @@
-"""The rows of strokes as the core reads them; `supple.strokes.pack` says what they mean."""
+"""The layout of strokes in the core; `supple.strokes.pack` explains the columns."""
 
 from __future__ import annotations
 
@@ -32,5 +32,5 @@ ROW = STROKE_DTYPE.itemsize // 8
 
 
 def numbers(table: npt.NDArray[np.void]) -> npt.NDArray[np.float64]:
-    """Return a table's rows in the layout of the native core: float64 (n, `ROW`), with the bits of the integers."""
+    """Return a table's rows in the layout of the core: float64 (n, `ROW`), in which integers keep their bits."""
     return np.ascontiguousarray(table).view(np.float64).reshape(len(table), ROW)

@@ -1,4 +1,4 @@
-// Colours at source points: linear, cubic, and the residual footprint, of one frame or of a mixture of several.
+// Colours at source points: linear, cubic, or averaged over the residual footprint, of one frame or a mixture.
 #pragma once
 #include "footprint.hpp"
 #include "plan.hpp"
@@ -89,7 +89,7 @@ INLINE Pixel<N> cubic_at(Taps taps, ptrdiff_t row, N fx, N fy) {
     return sum_of<N, C>(v * weights<N, C, L>(fx));
 }
 
-// left, right: the weights of the window's rows for the spot's left and right points, ES apart.
+// The sum of a spot; left, right: the weights of rows for its left and right points, ES apart.
 template <class N, int C, int ES, class Taps>
 INLINE Pixel<N> spot_at(Taps taps, ptrdiff_t row, Across<N> x, const N* left, const N* right) {
     constexpr int L = lanes_for(5 * C > 16 ? 16 : 5 * C);
@@ -123,12 +123,12 @@ struct Frames {
     const T* const* at;
     int w, h;
     ptrdiff_t row;
-    ptrdiff_t limit;  // the numbers that may be read from a frame's first on; after a part of it, there is padding
+    ptrdiff_t limit;  // numbers that may be read from the start of a frame; a part of a frame has padding after it
     int rule;
     const double* fill;
 
-    // Whether n numbers of a row and what follows may be read. It is asked of the whole frame, even if a part of it is
-    // held: kernels that may not read beyond the end round differently.
+    // Whether n numbers of a row and of what follows may be read. This refers to the whole frame, even if only a part
+    // of it is in memory, as kernels that may not read beyond the end round differently.
     INLINE bool has(int y, int n, int channels) const { return (ptrdiff_t)y * w * channels + n <= limit; }
 };
 
@@ -140,7 +140,7 @@ struct Mix {
     N constant;
 };
 
-// Call use(taps, row) with the samples from `place` on, which all lie within the frames.
+// Call use(taps, row) with the samples from `place` on, all within the frames, and add the constant.
 template <class N, int C, bool SEVERAL, class T, class Use>
 INLINE Pixel<N> within(const Frames<T>& f, const Mix<N>& mix, ptrdiff_t place, Use use) {
     if constexpr (!SEVERAL) return use(One<T>{f.at[0] + place}, f.row);
@@ -161,7 +161,7 @@ INLINE Pixel<N> within(const Frames<T>& f, const Mix<N>& mix, ptrdiff_t place, U
     return v;
 }
 
-// A mixed window of samples around (x, y), some of which lie beyond the edge.
+// Write a window of mixed samples around (x, y), some of which lie beyond the edge, to `own`.
 template <class N, int C, class T>
 NOINLINE void gather(const Frames<T>& f, Mix<N> mix, int x, int y, int left, int right, N* own) {
     int columns[WINDOW], rows[WINDOW];
@@ -195,7 +195,7 @@ INLINE bool inner(const Frames<T>& f, int x, int y) {
     return x >= LEFT && x < f.w - RIGHT && y >= LEFT && y < f.h - RIGHT &&
            f.has(y + RIGHT, (x - LEFT) * C + reading, C);
 }
-// Call use(taps, row) with the samples around (x, y): from `place` on, or a window of its own.
+// Call use(taps, row) with the samples around (x, y): from `place` on if `inside`, or in a gathered window.
 template <class N, int C, int LEFT, int RIGHT, bool SEVERAL, class T, class Use>
 INLINE Pixel<N> around(const Frames<T>& f, const Mix<N>& mix, int x, int y, bool inside, ptrdiff_t place, Use use) {
     if (__builtin_expect(inside && (!SEVERAL || mix.n > 0), 1)) return within<N, C, SEVERAL>(f, mix, place, use);
@@ -210,7 +210,7 @@ INLINE Pixel<N> around(const Frames<T>& f, const Mix<N>& mix, int x, int y, bool
 struct Prints {
     alignas(64) int kind[STRIDE];
     float xx[STRIDE], xy[STRIDE], yy[STRIDE];
-    int x[STRIDE], y[STRIDE], shift[STRIDE];            // a spot's first point, and 1 if the second is a column further
+    int x[STRIDE], y[STRIDE], shift[STRIDE];            // a spot's first point; 1 if the second is in the next column
     float first[STRIDE], second[STRIDE];                // their fractions along x
     float left[WINDOW][STRIDE], right[WINDOW][STRIDE];  // weights of rows for the left and the right points
     bool any;
@@ -226,7 +226,7 @@ private:
 
 template <int D>
 inline void Prints::find(const Row<D>& row, int filter) {
-    constexpr int some = 8;  // computed at once
+    constexpr int some = 8;  // pixels computed at once
     int n = row.count;
     any = false;
     if (filter != AUTO || !row.sloped) return;

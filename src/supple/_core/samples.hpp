@@ -1,4 +1,4 @@
-// Types of samples, how frames are mixed at a time, and light.
+// Types of samples, the weights of frames at a time, and linear light.
 //
 // It uses no std::, allocation or exceptions, so that compilers for GPUs accept this file.
 #pragma once
@@ -28,10 +28,10 @@ INLINE double integral(int between, double t) {
     return t > 0 ? value : -value;
 }
 
-// How many frames beyond its own a pixel covers, by |∂p_z/∂q|².
+// The number of frames, beyond one, that a pixel covers, from |∂p_z/∂q|².
 INLINE double covered(double rate2) { return rate2 > 1 ? least(root(rate2 - 1), LONGEST) : 0; }
 
-// The number of frames that a pixel is made of, which covers `width` frames more than its own, and the first of them.
+// The number of frames that a pixel reads at a time t, if it covers `width` frames beyond one; and the first of them.
 INLINE int frames_at(int between, double t, double width, int& first) {
     if (between == BETWEEN_NEAREST) {
         first = (int)floored(t + 0.5);
@@ -50,7 +50,7 @@ INLINE int frames_at(int between, double t, double width, int& first) {
     first -= 1;
     return 4;
 }
-// The weight of the k-th of the frames of a time that lies a fraction f after one of them.
+// The weight of the k-th frame for a time at the fraction f after a frame.
 template <class N>
 INLINE N tap(int between, N f, int k) {
     if (between == BETWEEN_NEAREST || f == 0) return 1;
@@ -70,7 +70,7 @@ INLINE double time_weight(int between, double t, double width, int first, int k)
 
 // ---- light ---------------------------------------------------------------------------------------------------------
 
-// Of sRGB's values from 0 to 1, and back.
+// From sRGB's values, 0 to 1, to linear light, and back.
 INLINE double to_light(double u) { return u <= 0.04045 ? u / 12.92 : pow((u + 0.055) / 1.055, 2.4); }
 INLINE double from_light(double u) { return u <= 0.0031308 ? 12.92 * u : 1.055 * pow(u, 1 / 2.4) - 0.055; }
 

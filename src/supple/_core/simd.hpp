@@ -1,9 +1,8 @@
 // Vectors of the width of this instruction set, and the few primitives for the kernels.
 //
 // The whole module is compiled once for each instruction set, so nothing here chooses at run time. A vector wider
-// than a register is two halves (`Pair`). Code that is a template over its number (`double` or `Lanes`) uses only
-// the primitives `root`, `least`, `most`, `choose`, `any`, `both`, `without` and `splat`. Compiled by NVRTC for a GPU,
-// whose threads are its lanes, there are no vectors.
+// than a register is two halves (`Pair`). Templates over the number type (`double` or `Lanes`) use only the primitives
+// of this file. When NVRTC compiles it for a GPU, there are no vectors, as the threads take the place of lanes.
 #pragma once
 #if defined(__CUDACC_RTC__)
 typedef signed char int8_t;
@@ -32,8 +31,8 @@ typedef unsigned long long uint64_t;
 #else
 #define NOINLINE __attribute__((noinline, noclone))
 #endif
-#define CALLED NOINLINE  // a call on GPUs, too, for which it is compiled at the first need
-#define ONCE NOINLINE    // compiled once for each instruction set (`solvers.hpp`); on GPUs, where it is used
+#define CALLED NOINLINE  // a function call on GPUs, too, where it is compiled once it is used
+#define ONCE NOINLINE    // compiled once for each instruction set (`solvers.hpp`); inline on GPUs
 #define INLINE_LAMBDA __attribute__((always_inline))
 #endif
 

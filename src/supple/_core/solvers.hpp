@@ -1,4 +1,4 @@
-// What solves points, compiled once for each instruction set: in solvers.cpp.
+// The solvers of points, compiled once for each instruction set, in solvers.cpp.
 #pragma once
 #include "composite.hpp"
 

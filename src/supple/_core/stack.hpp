@@ -1,8 +1,8 @@
-// A plane of the output from frames of any type: the choice of kernel, of number type, and of frames.
+// Sampling of a plane of the output from frames of any type: the choice of kernel, number type and frames.
 //
-// Types of the kernels (8 and 16 bit integers, float32, up to four channels) are read in place. All others - other
-// types, opacity, linear light, more channels - are converted first, as much of a frame as a root cell can read at a
-// time, to numbers of four channels, or one.
+// Types of the kernels (8 and 16 bit integers, float32, up to four channels) are read in place. All other samples
+// (other types, opacity, linear light, more channels) are first converted to numbers of one or four channels, as much
+// of a frame at a time as a root cell can read.
 #pragma once
 #include <memory>
 
@@ -12,7 +12,7 @@
 
 namespace supple {
 
-// Call f(T()), T the type of samples.
+// Call f(T()) with the type T of samples.
 template <class F>
 void with_type(int type, F f) {
     switch (type) {
@@ -35,25 +35,25 @@ inline int bytes_of(int type) {
 
 // A sampling job: source, options, and destination.
 struct Job {
-    // Frames of `count` in a window: frame k is the slot k - held_from modulo `capacity`. Of each, a part is in memory;
-    // `frames` is where the sample at (0, 0) of the first slot would be.
+    // A window of the clip's `count` frames: frame k is in slot (k - held_from) modulo `capacity`. Only a part of each
+    // is in memory; `frames` is where the sample (0, 0) of the first slot would be.
     const char* frames;
     ptrdiff_t frame_bytes;
     int count, capacity, held_from;
     int type, channels, w, h;
-    int held[4];  // x0, x1, y0, y1 of the part: contiguous rows
-    char* out;    // likewise, of grid.size
+    int held[4];  // x0, x1, y0, y1 of the part in memory: contiguous rows
+    char* out;    // the destination, from the sample `corner` of the grid on
     Grid grid;
-    int box[4];         // x0, x1, y0, y1 of the wanted part
-    int corner[2];      // the sample of the grid that `out` begins with
+    int box[4];         // x0, x1, y0, y1 of the part to compute
+    int corner[2];      // the sample of the grid with which `out` begins
     ptrdiff_t out_row;  // samples of a row of `out`
     int filter, between, rule;
     bool average;        // whether a pixel is averaged over time
     const double* fill;  // for each channel
     int alpha;           // the channel that weights the others, or -1
-    bool light;          // whether averages are in linear light, and not of sRGB values
-    double white;        // the largest value, and full opacity
-    Motion motion;       // between the frames, if it has a capacity
+    bool light;          // whether averages are in linear light
+    double white;        // the largest value, which is also full opacity
+    Motion motion;       // the motion between frames, if its capacity is not 0
 
     ptrdiff_t pixel_bytes() const { return (ptrdiff_t)bytes_of(type) * channels; }
     const char* frame(int k) const {  // or null, for the fill value
@@ -71,7 +71,7 @@ struct Job {
 
 // ---- time ----------------------------------------------------------------------------------------------------------
 
-// The weights of the frames first, first + 1, … for a pixel that covers `width` frames more than its own.
+// The weights of frames from `first` on, for a pixel that covers `width` frames beyond one; returns their number.
 template <class N>
 inline int time_weights(int between, double t, double width, int& first, N* weight) {
     const int n = frames_at(between, t, width, first);
@@ -79,8 +79,8 @@ inline int time_weights(int between, double t, double width, int& first, N* weig
     return n;
 }
 
-// The frames that samples of a plane may read, from bounds of their times. Beyond a clip's ends, a constant or an edge
-// needs only a few more frames.
+// The range of frames that samples of a plane may read, from bounds of their times. Beyond a clip's ends, constants and
+// edges need only a few more frames.
 struct Span {
     int first, last;
 };
@@ -97,11 +97,11 @@ inline Span frames_of(const Job& job, double low, double high, double rate) {
 
 // ---- numbers --------------------------------------------------------------------------------------------------------
 
-// Samples as numbers, in groups of LANES_ channels: colours weighted by opacity, which comes last; linear light.
+// Samples as numbers, in groups of channels: in linear light if wanted, and weighted by opacity, which comes last.
 template <class N>
 struct Numbers {
     const Job& job;
-    int lanes, colours;  // numbers a pixel, and how many of a group are colours
+    int lanes, colours;  // numbers per pixel; the number of colours in a group
     std::vector<N> table;
 
     explicit Numbers(const Job& job);
@@ -113,10 +113,10 @@ struct Numbers {
         int all = job.alpha < 0 ? job.channels : job.channels - 1;
         return std::min(colours, all - group * colours);
     }
-    // Of n samples of a row.
+    // Convert n samples of a row.
     void convert(const char* frame, int x, int y, int n, int group, N* out) const;
     void store(const N* from, int n, int group, char* p) const;  // four numbers a pixel
-    // The fill value as such numbers.
+    // The fill value, converted.
     void constant(int group, double* out) const;
 
 private:
@@ -128,8 +128,8 @@ private:
     void store(const N* from, int n, int group, T* p) const;
 };
 
-// Write pixels of a row, which ends at `end`, in a type of the kernels: rounded to the nearest, and clamped to the
-// type. If there is room, lanes beyond the C-th are overwritten by the next pixel. Or keep them as numbers.
+// Write pixels of a row, which ends at `end`, in a type of the kernels: rounded to nearest, and clamped to the type.
+// Where there is room, lanes beyond the C-th are written, and overwritten by the next pixel. Or store them as numbers.
 template <class N, class T, int C>
 struct Putting {
     T* out;  // of pixel 0
@@ -137,7 +137,7 @@ struct Putting {
     float high;         // the largest value
     Pixel<N>* numbers;  // or null
 #if defined(__SSE4_1__)
-    // No sum of weighted 16-bit samples overflows 32 bits.
+    // Sums of weighted 16-bit samples do not overflow 32 bits.
     static INLINE __m128i narrowed(__m128i a, __m128i b) {
         __m128i s = std::numeric_limits<T>::is_signed ? _mm_packs_epi32(a, b) : _mm_packus_epi32(a, b);
         return sizeof(T) == 1 ? _mm_packus_epi16(s, s) : s;
@@ -174,7 +174,7 @@ struct Putting {
         }
     }
 #if defined(__AVX2__)
-    // Pixels `from` to `to` - 1 of a block that begins at k.
+    // Write pixels `from` to `to` - 1 of a block that begins at k.
     INLINE void operator()(int k, int from, int to, const Eight* v) const {
         if (numbers) {
             for (int i = from; i < to; i++) numbers[i] = Pixel<float>{v[0][i - k], v[C - 1][i - k]};
@@ -209,10 +209,10 @@ struct Putting {
 
 // ---- pyramids -------------------------------------------------------------------------------------------------------
 
-// The levels that a map needs, by its largest squared footprint (`Plan::widest`).
+// The number of pyramid levels that a map needs, from its largest squared footprint (`Plan::widest`).
 int levels_of(const Job& job, double widest);
 
-// Averages of the frames in `span`, as deep as a map's smallest singular values need.
+// Pyramids of the frames in `span`, with as many levels as a map's footprints need.
 template <class N>
 struct Averages {
     Pyramid<N> pyramid;
@@ -221,7 +221,7 @@ struct Averages {
     double fill[4];
     int first;
 
-    // The pyramid of frames from a later one on.
+    // The pyramid without the frames before `frame`.
     Pyramid<N> from(int frame) const {
         Pyramid<N> made = pyramid;
         for (int k = 0; k < made.levels; k++) made.level[k].at += frame - first;
@@ -233,16 +233,16 @@ struct Averages {
 
 // ---- a plane --------------------------------------------------------------------------------------------------------
 
-// The mixture of frames at the samples of a row. The constant beyond a clip's ends only has a weight.
+// The mixture of frames at the samples of a row. Of the constant beyond a clip's ends, it has only the weight.
 template <class N, int D>
 struct Mixing {
     const Job& job;
     Span span;
     const Row<D>& row;
     N* weight;
-    const void* const* frames;  // of the span; null: constant
-    bool pairs;                 // whether two frames of the span, both present, suffice for all samples
-    bool whole = true;          // whether one does
+    const void* const* frames;  // those of the span; null: the constant
+    bool pairs;                 // whether every sample needs at most two adjacent frames, all of them present
+    bool whole = true;          // whether every sample needs one frame
 
     Mixing(const Job& job, Span span, const Row<D>& row, N* weight, const void* const* frames)
         : job(job), span(span), row(row), weight(weight), frames(frames), pairs(false) {
@@ -286,7 +286,7 @@ struct Mixing {
         return {first, n, w, constant};
     }
 #if defined(__AVX2__)
-    // Of n samples from k on. False if they need too many frames.
+    // The mixture of n samples from k on. False if they need too many frames.
     INLINE bool operator()(int k, int n, Times& times) const {
         if constexpr (D == 2) return true;
         times.first = std::numeric_limits<int>::max();
@@ -302,8 +302,8 @@ struct Mixing {
         }
         return any(k, n, times);
     }
-    // Those of a cubic alone, as `time_weights` has them, of all lanes at once: without averages, and where no frame is
-    // missing, which is nearly everywhere. False elsewhere, and of too many frames.
+    // The mixture for a cubic, as `time_weights` computes it, in all lanes at once: only without averages, and where no
+    // frame is missing, which is nearly everywhere. False otherwise, and if there are too many frames.
     INLINE bool cubics(int k, int n, Times& times) const {
         typedef double Doubles __attribute__((vector_size(BLOCK * sizeof(double))));  // two registers
         constexpr Eights lane = {0, 1, 2, 3, 4, 5, 6, 7};
@@ -370,7 +370,7 @@ inline Slopes slopes_of(const Job& job) {
     return job.average ? Slopes::ALL : job.filter == AUTO ? Slopes::SHRINKING : Slopes::NONE;
 }
 
-// The frame of an unchanged plane.
+// The source frame of an unchanged plane, or null.
 template <int D>
 inline const char* own_frame(const Plan<D>& plan, const Job& job) {
     return D == 2 ? job.frames : job.frame((int)plan.z);
@@ -404,7 +404,7 @@ void sample_nearest(const Plan<D>& plan, const Job& job) {
                     memcpy(to, from, size);
                 }
             };
-            // Of a constant size, it is no call.
+            // With a constant size, memcpy is no call.
             size == 1   ? copy(std::integral_constant<ptrdiff_t, 1>())
             : size == 3 ? copy(std::integral_constant<ptrdiff_t, 3>())
             : size == 4 ? copy(std::integral_constant<ptrdiff_t, 4>())
@@ -413,7 +413,7 @@ void sample_nearest(const Plan<D>& plan, const Job& job) {
     });
 }
 
-// The frames that a plane's samples may read, and their averages, as deep as the map needs.
+// The range of frames that a plane's samples may read.
 template <int D>
 Span frames_of(const Plan<D>& plan, const Job& job) {
     if constexpr (D == 2) return {0, 0};
@@ -421,7 +421,7 @@ Span frames_of(const Plan<D>& plan, const Job& job) {
     return frames_of(job, e.low[D - 1], e.high[D - 1], e.rate);
 }
 
-// Sample n source points of a row, from `at` on: into `to`, or as numbers. The rest of a plane's work is compiled once
+// Samples n source points of a row, from `at` on, into `to`, or as numbers. All other work on a plane is compiled once
 // for all types.
 template <class N, int D>
 struct Sampler {
@@ -433,7 +433,7 @@ protected:
     ~Sampler() = default;
 };
 
-// From frames of a type, whose pyramid has numbers.
+// A sampler of frames of type T, with a pyramid of numbers.
 template <class N, class T, int C, int D>
 struct Reader final : Sampler<N, D> {
     const Job& job;
@@ -456,7 +456,7 @@ struct Reader final : Sampler<N, D> {
     }
 };
 
-// What a thread computes of a row.
+// The buffers of a thread for a row.
 template <class N>
 struct Scratch {
     Prints prints;
@@ -465,7 +465,7 @@ struct Scratch {
     Pixel<N> numbers[STRIDE];
 };
 
-// Sample n points of a row along the motion between frames, as numbers; false if none follows it.
+// Sample n points of a row along the motion between frames, as numbers; false if there is none to follow.
 template <class N, int D>
 bool follow(const Job& job, const Sampler<N, D>& sample, const Row<D>& row, Scratch<N>& s, int at, int n) {
     if constexpr (D == 3) {
@@ -551,7 +551,7 @@ void sample_converted(const Plan<D>& plan, const Job& job) {
                 for (int k = span.first; k <= span.last; k++) {
                     const char* frame = job.frame(k);
                     N* at = tile.data() + (k - span.first) * size;
-                    // As if it were the whole frame: its first sample is that at (0, 0).
+                    // As if it were the whole frame, with the sample (0, 0) at the start.
                     frames[k - span.first] = frame ? at - (box[2] * line + (ptrdiff_t)box[0] * numbers.lanes) : nullptr;
                     for (int y = box[2]; frame && y < box[3]; y++)
                         numbers.convert(frame, box[0], y, across, group, at + (y - box[2]) * line);
@@ -575,8 +575,8 @@ void sample_converted(const Plan<D>& plan, const Job& job) {
         });
     }
 }
-// The samples of a frame that a root may read: its source points, their footprints, and the replacements of samples
-// beyond an edge.
+// The box of samples of a frame that a root may read: its source points with their footprints, and the samples that
+// replace those beyond an edge.
 template <int D>
 inline void seen(const Job& job, const Extent<D>& e, int levels, int (&box)[4]) {
     int size[2] = {job.w, job.h};
@@ -587,7 +587,7 @@ inline void seen(const Job& job, const Extent<D>& e, int levels, int (&box)[4]) 
         double low = (e.low[d] - job.grid.offset[d]) / job.grid.step[d] - margin;
         double high = (e.high[d] - job.grid.offset[d]) / job.grid.step[d] + margin;
         int n = size[d], first = (int)std::clamp(low, 0.0, n - 1.0), last = (int)std::clamp(high, 0.0, n - 1.0);
-        if (job.rule == REFLECT) {  // reflected samples, which may be all
+        if (job.rule == REFLECT) {  // reflected samples, perhaps anywhere
             if (low < 0) last = (int)std::max((double)last, std::min(-low, n - 1.0));
             if (high > n - 1) first = (int)std::min((double)first, std::max(2 * n - 2 - high, 0.0));
             if (low < -n || high > 2 * n - 1) first = 0, last = n - 1;
@@ -602,7 +602,7 @@ inline void seen(const Job& job, const Extent<D>& e, int levels, int (&box)[4]) 
 struct Portion {
     int box[4] = {INT32_MAX, 0, INT32_MAX, 0}, frames[2] = {INT32_MAX, 0};
 
-    bool empty() const { return frames[0] >= frames[1]; }  // nothing but the fill value
+    bool empty() const { return frames[0] >= frames[1]; }  // only the fill value is read
     bool holds(const Portion& o) const {
         if (o.empty()) return true;
         return box[0] <= o.box[0] && o.box[1] <= box[1] && box[2] <= o.box[2] && o.box[3] <= box[3] &&
@@ -644,7 +644,7 @@ Portion needed(const Plan<D>& plan, const Job& job) {
                 std::copy(wanted, wanted + 4, part.box);
             } else {
                 seen(job, plan.extent(j * plan.roots_across() + i), levels, part.box);
-                for (int d = 0; d < 2; d++) {  // samples of the pyramid are whole
+                for (int d = 0; d < 2; d++) {  // whole samples of the pyramid
                     part.box[2 * d] &= -apart;
                     part.box[2 * d + 1] = std::min((part.box[2 * d + 1] + apart - 1) & -apart, size[d]);
                 }
@@ -683,7 +683,7 @@ void sample_as(const Plan<D>& plan, const Job& job, Span span, const Pyramid<flo
                             : of.template operator()<4>();
 }
 #define SAMPLES_AS(OF, T) OF template void sample_as<T, 3>(const Plan<3>&, const Job&, Span, const Pyramid<float>&);
-#if !defined(SAMPLING)  // in files of their own, to be compiled in parallel
+#if !defined(SAMPLING)  // compiled in files of their own, in parallel
 SAMPLES_AS(extern, uint8_t)
 SAMPLES_AS(extern, uint16_t)
 #endif

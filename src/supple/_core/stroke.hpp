@@ -21,10 +21,10 @@
 // With a freeze mask (`freeze.hpp`), K and J are those of m K: m J u + (∇m·u) K, before β.
 //
 // In a clip, a stroke has a stretch of the third axis: with D = diag(1, 1, stretch), K(p) = D⁻¹ K'(D r), K' with the
-// force D f. Lengths, such as the reach, are those of D r. Unless it couples time to the plane, both r beside B are
-// diag(1, 1, 0) r: then K has only the components of v. A grab with a plateau of the radius a has K'(h r), h = g(|r|) /
-// |r|, with g(ρ) = x² / (x + a/2), x = max(ρ - a, 0): K is constant within it, C³ at its rim, and no steeper anywhere,
-// as g' ≤ 1.
+// force D f. Lengths, such as the reach, are those of D r. Unless it couples time to the plane, both r of the term with
+// B are diag(1, 1, 0) r: then K has only the components of v. A grab with a plateau of radius a has K'(h r), where
+// h = g(|r|) / |r|, g(ρ) = x² / (x + a/2), and x = max(ρ - a, 0): K is constant within the plateau, C³ at its rim, and
+// nowhere steeper, as g' ≤ 1.
 //
 // All is a template over the number V (`double`, or a vector of doubles) and the dimension D. It uses no std::,
 // allocation or exceptions, so that compilers for GPUs accept this file.
@@ -39,16 +39,16 @@ struct Stroke {
     double pivot[3], force[3], matrix[3][3], radius2[3], p[3], q[3], r[3];
     int64_t terms;
     int64_t power;         // n: 1, with a force, or 3, with a matrix
-    int64_t group;         // neighbours of one number act at once
+    int64_t group;         // consecutive strokes with the same number act at once
     double reach;          // R, or infinity
     double most;           // a bound of the displacement of the strokes that act at once, or infinity
-    double turn[3];        // of a twist: the factor of each component of its displacement; of others 0
+    double turn[3];        // for a twist: the factor of each component of its displacement; otherwise 0
     double stretch;        // of the third axis; `force` is stretched, too
-    double coupled;        // 1, or 0 if r beside B has no third component
+    double coupled;        // 1, or 0 if r of the term with B has no third component
     double flat;           // the radius a of the plateau, or 0
     double per_reach;      // 1/R, or 0; with a plateau, 1/g(R)
-    double rim;            // the length over which a stroke stays as it is at the rim of a plateau
-    bool shared;           // others act at once with it
+    double rim;            // the length over which a stroke varies at the rim of its plateau
+    bool shared;           // its group has other strokes
     bool inner;            // the ball of its reach touches no fixed border: β is 1 in all of it
     const Freeze* freeze;  // or null: m is 1 in all of its ball
     bool turns() const { return turn[0] != 0; }
@@ -101,7 +101,7 @@ INLINE V sine(V x) {
     return x - x * t * y;
 }
 
-// The sine and the cosine of half an angle of up to some turns; in every other turn, both with the other sign.
+// The sine and cosine of half an angle of up to a few turns; in every other turn, both have the opposite sign.
 template <class V>
 INLINE void half_turn(V angle, V& s, V& c) {
     // π as the sum of two numbers, of which the first times a small whole number is exact.
@@ -155,7 +155,7 @@ struct Radial {
     V A[3], B[3];
 };
 
-// g of a distance ρ from a pivot with a plateau.
+// g(ρ) of a stroke with a plateau.
 template <class V>
 INLINE V eased(const Stroke& k, V rho) {
     V x = most(V(rho - k.flat), V{});
@@ -203,8 +203,8 @@ INLINE Radial<V> radial(const Stroke& k, V s) {
     return f;
 }
 
-// The square of the length over which a stroke stays as it is, at s = |r|²: ρ; beside the rim of a plateau, where the
-// third derivative is of the order 1 / (e a), less.
+// The squared length over which a stroke varies, at s = |r|²: ρ²; near the rim of a plateau, where the third
+// derivative is of the order 1 / (e a), less.
 template <class V>
 INLINE V scale2_of(const Stroke& k, V s) {
     V rho2 = s + k.radius2[0];
@@ -215,9 +215,9 @@ INLINE V scale2_of(const Stroke& k, V s) {
     return rho2;
 }
 
-// The jet beside the point x: tangents t[j] = ∂x/∂u_j and, if MIXED, ∂²x/∂u₀∂u₁; and the squared length scales of the
-// map along u₀ and u₁: ρ² / |t|², 4 max(D_i, σ_i)² / t_i² at the distance D_i from a fixed face of axis i, and that of
-// the freeze mask.
+// A jet: a point x, tangents t[j] = ∂x/∂u_j and, if MIXED, ∂²x/∂u₀∂u₁; and the squared lengths over which the map
+// varies along u₀ and u₁: ρ² / |t|²; 4 max(D_i, σ_i)² / t_i² at the distance D_i from a fixed face of axis i; and
+// that of the freeze mask.
 template <int D, int TANGENTS, bool MIXED, class V>
 struct Jet {
     V x[D];
@@ -238,13 +238,13 @@ INLINE Jet<D, TANGENTS, MIXED, V> jet_at(const V* x) {
     return jet;
 }
 
-// A stroke's part of a jet without mask and border: K, J u of the tangents u, and J n + K''(u₀, u₁).
+// A stroke's contribution to a jet, without mask and border: K, J u for the tangents u, and J n + K''(u₀, u₁).
 template <int D, int TANGENTS, bool MIXED, class V>
 struct Moving {
     V K[D], J[TANGENTS > 0 ? TANGENTS : 1][D], second[MIXED ? D : 1];
 };
 
-// Send r, s = |r|², the tangents u and the mixed derivative n through h r, r with a plateau.
+// Apply a plateau: map r, s = |r|², the tangents u and the mixed derivative n by r → h r.
 template <int D, int TANGENTS, bool MIXED, class V>
 INLINE void ease(const Stroke& k, V* r, V& s, V (*u)[D], V* n) {
     const V rho = root(most(s, splat<V>(1e-60))), x = most(V(rho - k.flat), V{}), over = 1.0 / (x + 0.5 * k.flat);
@@ -279,7 +279,7 @@ INLINE void displace(const Stroke& k, const V* r, V s, const V (*u)[D], const V*
     V f[D];
     for (int i = 0; i < D; i++) f[i] = affine ? turned<D>(k, r, i) : splat<V>(k.force[i]);
     Radial<V> g = radial<ORDER>(k, s);
-    V plane[2 + N][D];  // r, u and n beside B, where it has no part of time
+    V plane[2 + N][D];  // r, n and u for the term with B, without their time
     const V *c = r, *cn = n;
     const V(*cu)[D] = u;
     if constexpr (APART) {
@@ -327,7 +327,7 @@ INLINE void displace(const Stroke& k, const V* r, V s, const V (*u)[D], const V*
     }
 }
 
-// The same of a twist; with φ' = ∂φ/∂u, K''(u₀, u₁) = ∂R/∂φ (φ'₀ u₁ + φ'₁ u₀) + ∂²R/∂φ² r φ'₀ φ'₁ + ∂R/∂φ r φ''.
+// The same for a twist; with φ' = ∂φ/∂u, K''(u₀, u₁) = ∂R/∂φ (φ'₀ u₁ + φ'₁ u₀) + ∂²R/∂φ² r φ'₀ φ'₁ + ∂R/∂φ r φ''.
 // `steep2` gets the squares of φ'.
 template <int D, int TANGENTS, bool MIXED, class V>
 INLINE void swing(const Stroke& k, const V* r, V s, const V (*u)[D], const V* n, Moving<D, TANGENTS, MIXED, V>& part,
@@ -364,8 +364,8 @@ INLINE void swing(const Stroke& k, const V* r, V s, const V (*u)[D], const V* n,
     }
 }
 
-// Add one stroke's part to a jet, at the point and the tangents `at`: x += K, t += J t, mixed += J mixed + K''(t₀, t₁).
-// `jet` may be `at` itself: then it goes through the stroke.
+// Add one stroke's contribution, evaluated at the jet `at`, to a jet: x += K, t += J t, mixed += J mixed + K''(t₀, t₁).
+// If `jet` is `at` itself, this maps it by the stroke.
 template <int D, int TANGENTS, bool MIXED, class V>
 ONCE void add(const Stroke& k, const Axis* axes, const Jet<D, TANGENTS, MIXED, V>& at,
               Jet<D, TANGENTS, MIXED, V>& jet) {
@@ -375,7 +375,7 @@ ONCE void add(const Stroke& k, const Axis* axes, const Jet<D, TANGENTS, MIXED, V
     for (int i = 0; i < D; i++) {
         V near = at.x[i];
         inside[i] = splat<V>(1.0);
-        // Off the only plane of an axis without extent, the map is that on the plane, for inner strokes, too.
+        // Beside the only plane of an axis without extent, the map is that on the plane, even for inner strokes.
         bool fading = axes[i].fixed() && (!k.inner || axes[i].extent() == 0);
         if (fading) {
             near = nearest(near, axes[i]);
@@ -390,7 +390,7 @@ ONCE void add(const Stroke& k, const Axis* axes, const Jet<D, TANGENTS, MIXED, V
         if (i == 2) r[i] *= k.stretch;
         s += r[i] * r[i];
     }
-    // The tangents as they are at the nearest point.
+    // The tangents at the nearest point in the domain.
     V u[N][D], n[MIXED ? D : 1], steep2[2];
     for (int j = 0; j < TANGENTS; j++)
         for (int i = 0; i < D; i++) u[j][i] = inside[i] * at.t[j][i];
@@ -443,7 +443,7 @@ ONCE void add(const Stroke& k, const Axis* axes, const Jet<D, TANGENTS, MIXED, V
             for (int i = 0; i < D; i++) along[i] = i < 2 ? at.t[j][i] : V(k.stretch * at.t[j][i]);
             V scale2 = round2 / dot<D>(along, along);
             if (k.freeze) {
-                V cells = splat<V>(1e-300);  // for each step of q, along axes along which m varies
+                V cells = splat<V>(1e-300);  // squared cells of the mask per step of q, along axes along which m varies
                 for (int i = 0; i < D; i++)
                     if (k.freeze->size[i] > 1) {
                         const V part = k.freeze->per_step[i] * at.t[j][i];
@@ -494,7 +494,7 @@ INLINE V times(const V (*t)[D], const V* x, int i) {
     for (int j = 1; j < D; j++) s += t[j][i] * x[j];
     return s;
 }
-// x ← that matrix times x.
+// x ← the matrix with the columns t, times x.
 template <int D, class V>
 INLINE void transform(const V (*t)[D], V* x) {
     V y[D];

@@ -38,7 +38,7 @@ inline bool is_inner(const Stroke& k, const Axis* axes) {
     return true;
 }
 
-// |M| by Frobenius' norm, or |f|; of a twist, the largest factor.
+// |M| by Frobenius' norm, or |f|; for a twist, the largest factor.
 inline double strength_of(const Stroke& k) {
     if (k.turns()) return std::max({k.turn[0], k.turn[1], k.turn[2]});
     double sum = 0;
@@ -54,8 +54,8 @@ inline double strength_of(const Stroke& k) {
 //
 //     |K| ≤ (|A| + |B| r²) V,    |J| ≤ (|2A'| r + |2B'| r³ + 2 |B| r) V + (|A| + |B| r²) |M|.
 //
-// and of |K| without its reach: the product of bounds with the reach's factor at one distance bounds |K| beyond it. Of
-// a twist, |R - I| ≤ 2, too.
+// and `unlimited`, of |K| without its reach: times the reach's factor m at a distance, it bounds |K| beyond that
+// distance. For a twist, |R - I| ≤ 2, too.
 struct Bound {
     double value, slope, unlimited;
 };
@@ -99,7 +99,7 @@ inline bool is_free(const Stroke& k, const Frozen* freeze) {
 // True if neither a border nor a mask changes a twist: one-to-one, whatever its angle.
 inline bool is_whole(const Stroke& k) { return k.turns() && k.inner && !k.freeze; }
 
-// The mask that a stroke is subject to, which has one.
+// The freeze mask of a stroke; it must have one.
 inline const Frozen& mask_of(const Stroke& k) { return *static_cast<const Frozen*>(k.freeze); }
 
 // The strokes of a table, in order, and their axes.
@@ -108,8 +108,8 @@ struct Strokes {
     std::vector<Stroke> table;
     std::vector<int> list;  // all of them
 
-    // Read `count` rows of STROKE_NUMBERS, and derive the rest; the mask has to live as long as they do. If it stands
-    // for several, each row has the number of its own.
+    // Read `count` rows of STROKE_NUMBERS, and derive the other values. The mask must live as long as the strokes; if
+    // it stands for several, each row has the number of its mask.
     Strokes(const double* rows, size_t count, const Axes& axes, const Frozen* freeze = nullptr);
     Chain chain() const { return {table.data(), list.data(), (int)list.size()}; }
 };

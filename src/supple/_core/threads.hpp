@@ -118,7 +118,7 @@ public:
     }
 };
 
-// Set by the bindings: true if Python wants the work to end.
+// Set by the bindings: true if Python wants to interrupt the work.
 inline bool (*interrupted)() = nullptr;
 
 // Call `child` in every process forked from this one.

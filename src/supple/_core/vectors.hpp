@@ -1,4 +1,4 @@
-// Short vectors of samples: Pack<N, L> is L numbers of type N (float or double), a register or two halves of one.
+// Short vectors of samples: Pack<N, L> is L numbers of type N (float or double), a register or a Pair of halves.
 #pragma once
 #include "simd.hpp"
 
@@ -49,7 +49,7 @@ using Pack = typename PackOf<N, L>::type;
 template <class N>
 using Pixel = Pack<N, 4>;  // up to four channels
 
-// Lanes of two consecutive pixels, from `BY` on.
+// Four lanes of two consecutive pixels, from lane `BY` on.
 template <class N, int BY>
 INLINE Pixel<N> straddle(Pixel<N> a, Pixel<N> b) {
     if constexpr (sizeof(Pixel<N>) <= REGISTER)
@@ -79,7 +79,7 @@ INLINE Pixel<N> part(V v) {
         return __builtin_shufflevector(v, v, 4 * K, 4 * K + 1, 4 * K + 2, 4 * K + 3);
 }
 
-// L consecutive samples as numbers.
+// L consecutive samples, converted to N.
 template <class N, int L, class T>
 INLINE Pack<N, L> load(const T* p) {
     [[maybe_unused]] constexpr bool positive = T(-1) > T(0);

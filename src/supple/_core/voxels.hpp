@@ -1,4 +1,4 @@
-// Samples between the voxels of a volume, of values, labels or colours, and their slopes, at points given in voxels.
+// Samples of a volume (values, labels or colours) between its voxels, and their gradients, at points in voxels.
 #pragma once
 #include <limits>
 #include <type_traits>
@@ -25,25 +25,25 @@ INLINE V mix(S part, V a, V b) {
     return a + part * (b - a);
 }
 
-// A volume of T, x fastest, of two voxels along each axis at least.
+// A volume of T, x fastest, with at least two voxels along each axis.
 template <class T>
 struct Voxels {
     const T* data;
     int64_t row, layer;
     Int4 last;                                             // the last cell along each axis: n - 2
-    static constexpr bool COLOURED = false, PLAIN = true;  // has colours of its own; is no more than values
+    static constexpr bool COLOURED = false, PLAIN = true;  // has its own colours; has nothing but values
 
     Voxels(const T* data, int64_t nx, int64_t ny, int64_t nz)
         : data(data), row(nx), layer(nx * ny), last{int32_t(nx - 2), int32_t(ny - 2), int32_t(nz - 2), 0} {}
 
-    // The trilinear sample at p, or at the point of the volume that is nearest to p.
+    // The trilinear sample at p, clamped to the volume.
     INLINE float sample(Float4 p) const {
         p = least(most(p, Float4{}), floats(last + 1));
         Int4 cell = least(whole(p), last);
         Float4 part = p - floats(cell);
         return sample(cell[0], cell[1], cell[2], part[0], part[1], part[2]);
     }
-    // The sample at a part of the way through a cell.
+    // The sample at the fractions u, v, w within a cell.
     INLINE float sample(int i, int j, int k, float u, float v, float w) const {
         const T* a = at(i, j, k);
         Float4 near = rows(a), far = rows(a + layer), x = mix(w, near, far);
@@ -51,8 +51,8 @@ struct Voxels {
         return mix(u, y[0], y[1]);
     }
 
-    // The gradient of a cubic B-spline, per voxel, whose coefficients are the voxels: light shows no steps between
-    // slices that are far apart, as it does by differences of two voxels.
+    // The gradient, per voxel, of a cubic B-spline whose coefficients are the voxels. With differences of two voxels,
+    // shading would show steps between slices that are far apart.
     INLINE Float4 slopes(Float4 p) const {
         p = least(most(p, Float4{}), floats(last + 1));
         const Int4 cell = least(whole(p), last), inside = (cell >= 1) & (cell < last);
@@ -73,8 +73,8 @@ private:
         memcpy(both + 2, a + row, 2 * sizeof(T));
         return load<float, 4>(both);
     }
-    // The weights of four voxels at a part of the way from the second to the third, and those of their three
-    // differences. Differences come before weights, so that a slope is exactly 0 if all voxels are equal.
+    // The weights of four voxels at a fraction of the way from the second to the third, and those of their three
+    // differences. Differences are taken before weighting, so that the slope of equal voxels is exactly 0.
     INLINE static Float4 weights(float t) {
         const float s = 1 - t;
         return Float4{s * s * s, 4 - 6 * t * t + 3 * t * t * t, 4 - 6 * s * s + 3 * s * s * s, t * t * t} / 6.0f;
@@ -84,7 +84,7 @@ private:
         return (0.5f * (1 - t) * (1 - t)) * (b - a) + (0.5f + t - t * t) * (c - b) + (0.5f * t * t) * (d - c);
     }
 
-    // The gradient at a part of the way through a cell; `row_at` has four voxels of each of sixteen rows.
+    // The gradient at the fractions `part` within a cell; `row_at` returns four voxels of each of sixteen rows.
     template <class Row>
     INLINE static Float4 turned(Float4 part, Row&& row_at) {
         const float u = part[0], v = part[1], w = part[2];
@@ -101,7 +101,7 @@ private:
         return Float4{change(u, x[0], x[1], x[2], x[3]), y[0] + y[1] + y[2] + y[3], z[0] + z[1] + z[2] + z[3], 0};
     }
 
-    // Beside the faces, beyond which the outermost voxels go on.
+    // The gradient beside the faces of the volume, where the outermost voxels are repeated.
     NOINLINE Float4 outer_slopes(Int4 cell, Float4 part) const {
         auto near = [&](int axis, int k) { return most(least(cell[axis] + k - 1, last[axis] + 1), 0); };
         return turned(part, [&](int j, int k) {
@@ -127,8 +127,8 @@ struct Corners {
     }
 };
 
-// Labels, numbered from 1; 0 is what is not seen. They are not mixed: a point is seen if visible voxels weigh more than
-// half of the eight around it, and has the label that weighs most among these.
+// Labels, numbered from 1; 0 is invisible. They are not mixed: a point is visible if the visible voxels of the eight
+// around it have more than half of the weight, and gets the label with the largest weight among these.
 template <class T>
 struct Labels : Voxels<T> {
     using Voxels<T>::Voxels, Voxels<T>::row, Voxels<T>::layer, Voxels<T>::last;
@@ -144,14 +144,14 @@ struct Labels : Voxels<T> {
         return same ? found[0] : weightiest(found, around.weights);
     }
 
-    // The gradient of how far the label reaches, per voxel, by cubic B-splines, which smooth the steps of voxels; and
-    // the label, last. Other visible labels count as nearly the same, so that a surface has no seams where they meet.
+    // The gradient, per voxel, of the extent of the label at p, by cubic B-splines, which smooth the steps of voxels;
+    // and the label, last. Other visible labels count almost the same, so that no seams show where labels meet.
     INLINE Float4 slopes(Float4 p) const {
         const float own = sample(p);
         p = least(most(p, Float4{}), floats(last + 1));
         Int4 cell = whole(p);
         const int64_t strides[3] = {1, row, layer};
-        int64_t at[3][SPLINE];  // of the voxels around, along each axis
+        int64_t at[3][SPLINE];  // offsets of the voxels around, along each axis
         float weights[3][SPLINE], rates[3][SPLINE];
         for (int i = 0; i < 3; i++)
             for (int k = 0; k < SPLINE; k++) {
@@ -182,7 +182,7 @@ struct Labels : Voxels<T> {
     }
 
 private:
-    static constexpr int SPLINE = 6;  // voxels that a spline reaches
+    static constexpr int SPLINE = 6;  // the number of voxels under a spline
     static constexpr float WIDER = SPLINE / 4.0f, OTHER = 0.2f;
 
     NOINLINE static float weightiest(const T* found, const float* weights) {
@@ -207,7 +207,7 @@ private:
     }
 };
 
-// Values of colours of their own: sRGB and opacity, of T's full range, four for each voxel.
+// Values with their own colours: sRGB and opacity, in the full range of T, four for each voxel.
 template <class T>
 struct Coloured : Voxels<T> {
     const T* colours;
@@ -216,7 +216,7 @@ struct Coloured : Voxels<T> {
     Coloured(const T* data, const T* colours, int64_t nx, int64_t ny, int64_t nz)
         : Voxels<T>(data, nx, ny, nz), colours(colours) {}
 
-    // The colour at p, in linear light, with the opacity of the transfer function. It is premultiplied in between.
+    // The colour at p, in linear light, with the opacity of the transfer function; premultiplied while interpolated.
     INLINE Float4 painted(Float4 p, Float4 colour) const {
         Corners around(p, this->last);
         const T* a = colours + 4 * (this->at(around.cell) - this->data);

@@ -1,4 +1,4 @@
-"""Random deformations for training data, which never fold; and transforms of libraries that draw them.
+"""Random deformations for training data, which never fold; and transforms for other libraries that draw them.
 
 `supple.augment.monai`, `.torchio`, `.torchvision` and `.albumentations` are modules of their own, for these libraries.
 """

@@ -50,7 +50,7 @@ class _Schema(BaseTransformInitSchema):
 
 
 class _Elastic(DualTransform):
-    """The base of both transforms: their options, the recipe of a draw, and what is bent by it."""
+    """The base of both transforms: their options, and the recipe of a draw and its deformation."""
 
     spacing: tuple[float, ...] = (1.0, 1.0)
 
@@ -82,7 +82,7 @@ class _Elastic(DualTransform):
 class RandomElastic(_Elastic):
     """Bend images, masks, boxes and key points by random strokes, which never fold.
 
-    Images of a sample, and slices of volumes, have one map; labels of masks are those of the nearest pixel.
+    Images of a sample, and slices of volumes, share one map; masks are sampled by the nearest pixel.
 
     Parameters
     ----------
@@ -119,7 +119,7 @@ class RandomElastic(_Elastic):
         return self._drawn(tuple(params["shape"][:2]))
 
     def apply_to_images(self, images: Array, recipe: str, extent: tuple[int, ...], **params: Any) -> Array:
-        """Return bent images (N, H, W[, C]), or a volume (D, H, W[, C]), all slices of which are bent alike."""
+        """Return bent images (N, H, W[, C]), or a volume (D, H, W[, C]); all are bent alike."""
         return bent_stack(self._of(recipe, extent), images, self._filter, self.outside)
 
     apply_to_volume = apply_to_images
@@ -129,7 +129,7 @@ class RandomElastic(_Elastic):
         return np.asarray(self.apply_to_images(img[None], recipe, extent)[0])
 
     def apply_to_mask3d(self, mask3d: Array, recipe: str, extent: tuple[int, ...], **params: Any) -> Array:
-        """Return a mask (D, H, W[, C]), all slices of which are bent alike."""
+        """Return a bent mask (D, H, W[, C]); all slices are bent alike."""
         return bent_stack(self._of(recipe, extent), mask3d, "nearest", self.outside)
 
     def apply_to_mask(self, mask: Array, recipe: str, extent: tuple[int, ...], **params: Any) -> Array:
@@ -137,7 +137,7 @@ class RandomElastic(_Elastic):
         return np.asarray(self.apply_to_mask3d(mask[None], recipe, extent)[0])
 
     def apply_to_bboxes(self, bboxes: Array, recipe: str, extent: tuple[int, ...], **params: Any) -> Array:
-        """Return the boxes (N, 4+) around bent boxes, in fractions of the image, as they are given."""
+        """Return the boxes (N, 4+) around bent boxes, in fractions of the image."""
         if not len(bboxes):
             return bboxes
         size = np.array((*extent[::-1], *extent[::-1]), np.float64)

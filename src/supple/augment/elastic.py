@@ -1,8 +1,8 @@
 """Random strokes for training data: one draw bends an image, its labels, its key points and its boxes, and never folds.
 
-A draw is a `Deformation` of grabs at random points, in random directions, one after the other. Each is weakened, where
-it must, until a bound proves that the symmetric part of I + J has no eigenvalue below 0.3 at any point
-(`supple.folding.strain`): each grab is one-to-one then, and so is the draw, whatever the random numbers.
+A draw is a `Deformation` of grabs at random points, in random directions, one after the other. Each is weakened, if
+necessary, until a bound proves that the symmetric part of I + J has no eigenvalue below 0.3 at any point
+(`supple.folding.strain`): then each grab, and so the draw, is one-to-one, whatever the random numbers.
 """
 
 from __future__ import annotations
@@ -33,27 +33,27 @@ Seed = int | np.random.Generator | None
 
 MOST_STROKES = 1000
 _LINEAR = Sampling("linear")
-SLACK = 0.85  # of max_displacement: the most where it is measured; between these points it may be more
-_EDGE, _FACE = 16, 8  # parts of a radius, at which the edges of boxes are followed, and the faces of those in volumes
-_CHANNELS = 4  # the most that the last of three axes has, to be taken for channels
+SLACK = 0.85  # of max_displacement: the most at sampled points; in between, it may be more
+_EDGE, _FACE = 16, 8  # points per radius along the edges of boxes, and on the faces of those in volumes
+_CHANNELS = 4  # a last axis of up to so many is taken for channels
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sample:
-    """An image and what belongs to it, bent by one deformation; None for what was not given.
+    """An image and its annotations, bent by one deformation; None for what was not given.
 
     Parameters
     ----------
     image : array of shape (H, W[, C]) or (Z, H, W[, C])
         Of the type of the given image.
     labels : array of shape (H, W[, C]) or (Z, H, W[, C])
-        Of the type of the given labels, with no values that these do not have.
+            Of the type of the given labels, without new values.
     points : float64 array, shape (N, D)
         In samples, x first.
     boxes : float64 array, shape (N, 2 D)
         The boxes around the bent boxes: their lower corners, and their upper ones, in the coordinates of points.
     deformation : Deformation
-        What was drawn: ``deformation.recipe.to_json()`` is the recipe.
+            The random deformation: ``deformation.recipe.to_json()`` is its recipe.
     """
 
     image: npt.NDArray[Any] | None
@@ -72,13 +72,13 @@ class RandomElastic:
     Parameters
     ----------
     max_displacement : float
-        The most that points move, in physical units: pixels, unless a picture or volume has a spacing. At most the
-        smallest radius. It is measured at points that are a radius apart, of which none moves by more than 85 % of it.
+            The most that points move, in physical units: pixels, unless a picture or volume has a spacing. At most the
+            smallest radius. At the sampled points, a radius apart, the displacement is limited to 85 % of it.
     radius : float or (float, float)
         The radius of the strokes, in physical units, or the range from which each is drawn: small ones make
         wrinkles, large ones bend the whole.
     strokes : int or (int, int)
-        The number of strokes, or its range, both ends of which are drawn.
+            The number of strokes, or its range, including both ends.
     border : "auto", float, sequence of float or None
         The width of the fixed border, as in `Deformation`: nothing leaves the picture, and nothing comes in. None: the
         border is free.
@@ -127,8 +127,8 @@ class RandomElastic:
         shape : sequence of int or Grid
             ``(H, W)`` or ``(Z, H, W)``; or the grid of a picture or volume, which has its spacing.
         seed : int or numpy.random.Generator, optional
-            The same number draws the same deformation; a generator, the next one. By default, one that was never drawn
-            before, in any process.
+                The same number draws the same deformation; a generator, the next one. By default, a new one every time,
+                in every process.
         spacing : float or sequence of float
             Physical units per sample, x first.
 
@@ -158,14 +158,14 @@ class RandomElastic:
         if not strokes:
             return still
         table = pack(strokes, domain.spacing)
-        for k in range(len(table)):  # none is so strong that it would take more than one step
+        for k in range(len(table)):  # limit each to what needs no more than one step
             lower, _ = weakest(table[k : k + 1], axes, FLOW_MARGIN - 1, FLOW_GAP)
             if lower < FLOW_MARGIN - 1:
                 table["force"][k] *= (1 - FLOW_MARGIN) * (1 - 1.2 * FLOW_GAP) / -lower
         points, longest = _looked_at(table["pivot"][:, : domain.ndim], radii, low, high), SLACK * self.max_displacement
         while (farthest := _farthest(table, still, points)) > longest:
             table["force"] *= 0.99 * longest / farthest  # where they add up, all are weakened
-        # Near a fixed border a force moves its point less. A flow makes up for that, so it is asked for no more.
+        # A force moves its point less near a fixed border. A flow would compensate for that, so ask it for no more.
         drags = table["force"] * beta_at(table["pivot"], axes)
         made = still
         for stroke, drag in zip(strokes, drags[:, : domain.ndim] / steps, strict=True):
@@ -185,7 +185,7 @@ class RandomElastic:
         sampling: Sampling = _LINEAR,
         **options: Unpack[SamplingFields],
     ) -> Sample:
-        """Draw a deformation, and apply it to an image and to what belongs to it.
+        """Draw a deformation, and apply it to an image and its annotations.
 
         Parameters
         ----------
@@ -200,8 +200,8 @@ class RandomElastic:
         Raises
         ------
         SuppleError
-            If an argument does not fit; or if the image has three axes, the last of more than four, and no ``shape``
-            says if it is a volume.
+                If an argument does not fit; or if the image has three axes, the last with more than four entries, and
+                no ``shape`` says whether it is a volume.
         """
         array = np.asarray(image)
         if shape is None:
@@ -220,15 +220,15 @@ def apply(
     sampling: Sampling = _LINEAR,
     **options: Unpack[SamplingFields],
 ) -> Sample:
-    """Apply a deformation to an image and to what belongs to it.
+    """Apply a deformation to an image and its annotations.
 
     Parameters
     ----------
     deformation : Deformation
-        What `RandomElastic.draw` returned, or what `Deformation.from_recipe` made of its recipe.
+            The result of `RandomElastic.draw`, or of `Deformation.from_recipe` with its recipe.
     image : array of shape (H, W[, C]) or (Z, H, W[, C]), optional
     labels : array of shape (H, W[, C]) or (Z, H, W[, C]), optional
-        Each sample becomes that of the nearest label.
+            Sampled by the nearest label.
     points : array_like, shape (N, D), optional
         In samples, x first: the first sample is at 0.
     boxes : array_like, shape (N, 2 D), optional
@@ -244,7 +244,7 @@ def apply(
     if labels is not None and (found := np.shape(labels))[: deformation.ndim] != deformation.shape:
         refuse("labels", f"of shape {deformation.shape}, with or without channels", told=f"shape {found}")
     return Sample(
-        # Of four channels, the last need not be opacity.
+        # The last of four channels need not be opacity.
         None if image is None else deformation.warp(np.asarray(image), sampling=sampling, alpha=False),
         None
         if labels is None
@@ -258,8 +258,8 @@ def apply(
 def moved_boxes(deformation: Deformation, boxes: npt.ArrayLike, *, inverse: bool = False) -> Floats:
     """Return the smallest boxes around bent boxes.
 
-    A bent box reaches farthest between its corners, so its edges are followed (the faces, in a volume): at a sixteenth
-    (an eighth) of the smallest radius, where strokes reach.
+    A bent box may reach farthest between its corners, so points along its edges (in a volume, on its faces) are moved:
+    a sixteenth (an eighth) of the smallest radius apart, where strokes reach.
 
     Parameters
     ----------
@@ -295,16 +295,16 @@ def moved_boxes(deformation: Deformation, boxes: npt.ArrayLike, *, inverse: bool
 
 
 def one_thread_in_workers() -> None:
-    """Let warps use one thread in a process that `multiprocessing` started, as a ``DataLoader`` does for its workers.
+    """Limit warps to one thread in a process that `multiprocessing` started, such as a worker of a ``DataLoader``.
 
-    There are as many of these as cores already; ``SUPPLE_THREADS`` sets another number.
+    There are usually as many workers as cores; ``SUPPLE_THREADS`` sets another number.
     """
     if multiprocessing.parent_process() is not None:
         os.environ.setdefault("SUPPLE_THREADS", "1")
 
 
 def _range(name: str, value: Any) -> tuple[Any, Any]:
-    """Return the ends of a range, which are equal for a number."""
+    """Return both ends of a range; they are equal for a number."""
     if isinstance(value, Sequence | np.ndarray) and not isinstance(value, str):
         low, high = items(name, value, "a number, or two in ascending order", (2,))
         return low, high
@@ -312,7 +312,7 @@ def _range(name: str, value: Any) -> tuple[Any, Any]:
 
 
 def _looked_at(starts: Floats, radii: Floats, low: Floats, high: Floats) -> Floats:
-    """Return points of the domain where strokes reach: a radius apart, and nearer around the start; (N, 3), x first."""
+    """Return points of the domain where strokes reach, a radius apart, and denser at their starts; (N, 3), x first."""
     ndim = starts.shape[1]
     offsets = np.concatenate([_lattice([np.arange(-3.0, 4.0)] * ndim), _lattice([np.array([-0.5, 0.0, 0.5])] * ndim)])
     points = np.clip(starts[:, None] + radii[:, None, None] * offsets, low, high).reshape(-1, ndim)
@@ -328,14 +328,14 @@ def _farthest(table: Table, still: Deformation, points: Floats) -> float:
 
 
 def _lattice(axes: Sequence[Floats]) -> Floats:
-    """Return all points whose coordinates are of the axes, x first."""
+    """Return the points of the grid with these coordinates along each axis, x first."""
     return np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, len(axes))
 
 
 def _outline(low: Floats, high: Floats, counts: npt.NDArray[np.int_], reached: list[tuple[Floats, Floats]]) -> Floats:
     """Return points on the edges of a box in the plane, or on the faces of one in space, x first.
 
-    Those that lie within none of the boxes ``reached`` stay where they are: one of them is enough of an edge or a face.
+    Points outside all boxes ``reached`` do not move, and one of them is enough for an edge or a face.
     """
     axes = [np.linspace(a, b, n) for a, b, n in zip(low, high, counts, strict=True)]
     sides = []

@@ -46,7 +46,7 @@ _PADDING = {"border": "edge", "reflection": "reflect", "zeros": "constant"}
 
 
 class _Randomized(RandomizableTransform, InvertibleTransform):
-    """The base of both transforms: a draw, and its trace in what was bent, by which ``inverse`` bends it back."""
+    """The base of both transforms: a draw, and its trace in the bent images, by which ``inverse`` bends them back."""
 
     drawing: Drawing
     deformation: Deformation | None = None
@@ -109,14 +109,14 @@ class RandElastic(_Randomized):
         filter_of("padding_mode", padding_mode, _PADDING)
 
     def __call__(self, img: Any, mode: str | None = None, randomize: bool = True) -> torch.Tensor:
-        """Return the image (C, *spatial), bent; or by the last draw again, if it shall not ``randomize``."""
+        """Return the bent image (C, *spatial); without ``randomize``, by the last draw again."""
         held = convert_to_tensor(img, track_meta=get_track_meta())
         if randomize:
             self.randomize(held)
         return self._traced(held, self.mode if mode is None else mode, self.padding_mode)
 
     def inverse(self, data: torch.Tensor) -> torch.Tensor:
-        """Return an image that was bent (a ``MetaTensor``, which has the trace), bent back by the exact inverse map."""
+        """Return a bent image (a ``MetaTensor``, which has the trace), bent back by the exact inverse map."""
         return self._undone(data)[0]
 
 
@@ -167,7 +167,7 @@ class RandElasticd(_Randomized, MapTransform):
         self.point_keys, self.box_keys = ensure_tuple(point_keys), ensure_tuple(box_keys)
 
     def __call__(self, data: Mapping[Hashable, Any]) -> dict[Hashable, Any]:
-        """Return the dictionary, with what is bent in the place of what was given."""
+        """Return the dictionary with the bent entries in place of the given ones."""
         made = dict(data)
         held = [*self.key_iterator(made, self.mode, self.padding_mode)]
         for key, *_ in held:
@@ -184,8 +184,8 @@ class RandElasticd(_Randomized, MapTransform):
     def inverse(self, data: Mapping[Hashable, Any]) -> dict[Hashable, Any]:
         """Return a dictionary whose images and labels (``MetaTensor``), points and boxes are bent back.
 
-        That is by the exact inverse map, which the trace of the images has. Boxes become those around what is bent
-        back, which are larger than the first ones.
+        The trace of the images has the exact inverse map. Boxes become those around the boxes that are bent back, which
+        are larger than the original ones.
         """
         made, d = dict(data), None
         for key in self.key_iterator(made):

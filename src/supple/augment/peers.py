@@ -33,7 +33,7 @@ def need_library(module: str, name: str) -> None:
 
 
 def filter_of(name: str, given: Any, known: Mapping[Any, str]) -> str:
-    """Return Supple's name of a library's interpolation; SuppleError for one that it does not have."""
+    """Return Supple's name of a library's interpolation; SuppleError if Supple has none like it."""
     if given not in known:
         refuse(name, f"one of {', '.join(map(str, known))}", given)
     return known[given]
@@ -41,8 +41,8 @@ def filter_of(name: str, given: Any, known: Mapping[Any, str]) -> str:
 
 @lru_cache(maxsize=8)
 def deformation_of(recipe: str, shape: tuple[int, ...], spacing: tuple[float, ...]) -> Deformation:
-    """Return the deformation of a recipe's JSON, which is what libraries keep of a draw."""
-    made, quiet = Recipe.from_json(recipe), lambda text, kind: None  # what was drawn at random misses no target
+    """Return the deformation of a recipe's JSON, the form in which libraries record a draw."""
+    made, quiet = Recipe.from_json(recipe), lambda text, kind: None  # random strokes miss no target
     return Deformation.from_recipe(made, shape, spacing=spacing, say=quiet)
 
 
@@ -62,7 +62,7 @@ def bent_stack(d: Deformation, images: npt.NDArray[Any], filter: str, outside: s
 def bent_tensor(
     d: Deformation, tensor: torch.Tensor, filter: str, outside: str, *, inverse: bool = False
 ) -> torch.Tensor:
-    """Return a tensor (..., *shape), each part of which is bent, or bent back."""
+    """Return a tensor (..., *shape), whose items are all bent, or bent back."""
     from supple.torch import warp
 
     one_thread_in_workers()
@@ -71,7 +71,7 @@ def bent_tensor(
 
 
 def edged(d: Deformation, boxes: npt.NDArray[Any], *, inverse: bool = False) -> Floats:
-    """Return moved boxes (N, 2 D) of libraries where a picture's edge is at 0, and not half a sample before it."""
+    """Return moved boxes (N, 2 D), in coordinates in which a picture's edge is at 0, not at -0.5."""
     return moved_boxes(d, np.asarray(boxes, np.float64) - 0.5, inverse=inverse) + 0.5
 
 
@@ -82,7 +82,7 @@ def moved_tensor(d: Deformation, points: torch.Tensor, *, inverse: bool = False)
 
 
 def edged_tensor(d: Deformation, boxes: torch.Tensor, *, inverse: bool = False) -> torch.Tensor:
-    """Return boxes (..., 2 D) as `edged` does, in their type: whole numbers are rounded."""
+    """Return boxes (..., 2 D) moved as by `edged`, in their own type: integers are rounded."""
     flat = boxes.detach().cpu().numpy().reshape(-1, 2 * d.ndim)
     return _like(boxes, edged(d, flat, inverse=inverse).reshape(tuple(boxes.shape)))
 
@@ -95,5 +95,5 @@ def _like(given: torch.Tensor, values: Floats) -> torch.Tensor:
 
 
 def spacing_of(values: Sequence[float]) -> tuple[float, ...]:
-    """Return a spacing as floats of Python, by which deformations are cached."""
+    """Return a spacing as Python floats, by which deformations are cached."""
     return tuple(float(x) for x in values)

@@ -1,6 +1,6 @@
 """Transforms of TorchIO: the images and label maps of a subject, by one draw.
 
-It draws from PyTorch's random state, as TorchIO does. A subject's history has an `Elastic`, whose recipe is that of the
+It draws from PyTorch's random state, as TorchIO does. The subject's history records an `Elastic` with the recipe of the
 draw, in voxels of the file: ``supple warp scan.nii.gz --recipe`` applies it as well.
 """
 
@@ -36,7 +36,7 @@ class RandomElastic(RandomTransform, SpatialTransform):
     image_interpolation : str
         ``"linear"``, ``"cubic"`` or ``"nearest"``.
     label_interpolation : str
-        As that of images; ``"nearest"`` keeps labels as they are.
+            As for images; ``"nearest"`` keeps labels as they are.
     outside : str
         The boundary mode, where the border is free: ``"edge"``, ``"reflect"``, or ``"constant"`` for 0.
     **kwargs
@@ -61,13 +61,13 @@ class RandomElastic(RandomTransform, SpatialTransform):
             "label_interpolation": label_interpolation,
             "outside": outside,
         }
-        Elastic("{}", **self.options)  # checks these
+        Elastic("{}", **self.options)  # checks the options
 
     def apply_transform(self, subject: Subject) -> Subject:
         """Draw a recipe, and apply it."""
         shape, spacing = _space_of(subject)
         seed = int(torch.randint(SEEDS, ()))
-        with np.errstate(all="warn"):  # TorchIO raises where NumPy warns, and where it does not by default
+        with np.errstate(all="warn"):  # TorchIO turns warnings of NumPy into errors, even those that are off by default
             recipe = self.drawing.draw(shape, seed, spacing=spacing).recipe.to_json()
         return Elastic(recipe, **self.options, **self._get_base_args())(subject)
 
@@ -87,7 +87,7 @@ class Elastic(SpatialTransform):
     Raises
     ------
     SuppleError
-        If an argument is invalid; of a subject, if the recipe is for another size.
+            If an argument is invalid; or, when applied, if the recipe is for another size than the subject's.
     """
 
     def __init__(
@@ -122,7 +122,7 @@ class Elastic(SpatialTransform):
 
 
 def _space_of(subject: Subject) -> tuple[tuple[int, ...], tuple[float, ...]]:
-    """Return the shape of a deformation of a subject's images, and its spacing."""
+    """Return the shape and the spacing of a deformation of a subject's images."""
     subject.check_consistent_spatial_shape()
     subject.check_consistent_attribute("spacing")
     first = subject.get_first_image()

@@ -30,9 +30,9 @@ _XYXY = tv_tensors.BoundingBoxFormat.XYXY
 class RandomElastic(v2.Transform):
     """Bend images, videos, masks, boxes and key points by random strokes, which never fold.
 
-    Of a sample (in any nesting), all that torchvision's transforms take is bent alike: images and videos, PIL's too;
-    masks, whose labels are those of the nearest pixel; boxes, of the formats without a rotation; and key points. The
-    frames of a video have one map. `v2.RandomApply` gives it a probability.
+    In a sample (in any nesting), everything that torchvision's transforms take is bent alike: images and videos, also
+    PIL's; masks, sampled by the nearest pixel; boxes, in formats without a rotation; and key points. The frames of a
+    video share one map. `v2.RandomApply` gives it a probability.
 
     Parameters
     ----------
@@ -46,7 +46,7 @@ class RandomElastic(v2.Transform):
     Raises
     ------
     SuppleError
-        If an argument is invalid; of a sample, if it has boxes with a rotation.
+            If an argument is invalid; or, when applied, if a sample has boxes with a rotation.
     """
 
     def __init__(

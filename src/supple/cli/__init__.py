@@ -1,4 +1,4 @@
-"""The command line: what it may begin with, and how the process ends."""
+"""The entry point of the command line: its commands, and the end of the process."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ _COMMANDS = (
 )
 _OF_FILES = ("--recipe", "--save-recipe", "--save-field", "--on", "--field", "--affine", "--reference")
 _PYTHON = "Restoring and smoothing are for Python (Deformation.restore) and for the window (supple view)"
-# What to do about options that other commands have, and other ways.
+# Advice for unknown options that other commands have, or that have another way.
 _ELSEWHERE = {
     "--gpu": "--device gpu is for render and demo, and info --gpu tells what there is",
     "--device": "It is for warp, render and demo",
@@ -95,7 +95,7 @@ def command(arguments: Sequence[str]) -> int:
 
 
 def main() -> NoReturn:
-    """Carry out the process's own command line, and end."""
+    """Run the command line of the process, and exit."""
     status = command(sys.argv[1:])
     for stream in (sys.stdout, sys.stderr):
         with contextlib.suppress(OSError, ValueError, AttributeError):
@@ -121,13 +121,13 @@ def _dispatch(arguments: Sequence[str]) -> None:
         examples = _examples(where.partition(":")[2])
         app.command(f"supple.{where}", usage=f"Usage: supple {usage}", help_epilogue=examples)
     if not arguments or arguments[0] in app.help_flags:
-        app.resolved_commands()  # otherwise their first lines would be missing
+        app.resolved_commands()  # otherwise the help would lack the commands' first lines
     # Otherwise a single dash would be parsed as an option.
     for option, value in itertools.pairwise(arguments):
         if value == "-" and option in _OF_FILES:
             raise SuppleError(f"{option} - is not possible: - is for the files IN and OUT; name a file")
         named = value in ("nearest", "smooth") or os.path.exists(value)
-        if option == "--labels" and value.isalpha() and not named:  # else it would be the name of a folder
+        if option == "--labels" and value.isalpha() and not named:  # otherwise it would be read as a folder
             raise SuppleError(f"--labels must be nearest or smooth, or stand alone, found {value!r}")
     arguments = [STREAM if argument == "-" else argument for argument in arguments]
     if STREAM in arguments and arguments[0] not in ("warp", "info", "points"):
@@ -138,13 +138,13 @@ def _dispatch(arguments: Sequence[str]) -> None:
     try:
         app(list(arguments), exit_on_error=False, print_error=False, verbose=False)
     except CycloptsError as error:
-        if isinstance(error.__cause__, SuppleError):  # of a value, which says all
+        if isinstance(error.__cause__, SuppleError):  # of a value: its message is complete
             raise error.__cause__ from None
         raise SuppleError(f"{_advised(error)} (supple --help tells more)") from None
 
 
 def _advised(error: CycloptsError) -> str:
-    """Return the text of an option error; where one that only looks alike would be advised, the one that is meant."""
+    """Return the text of an error about options, with better advice than cyclopts' suggestions of similar names."""
     text = str(error).strip().rstrip(".")
     wrong, _, meant = text.partition(" Did you mean")
     if isinstance(error, UnknownOptionError):
@@ -175,7 +175,7 @@ def _examples(begin: str) -> str:
 
 
 def _formatter() -> Any:
-    """Return cyclopts' formatter of help, for paragraphs that are as wide as the terminal, and not as their source."""
+    """Return cyclopts' formatter of help, with paragraphs wrapped to the terminal instead of as in the source."""
     from cyclopts.help import DefaultFormatter
 
     def join(text: Any) -> None:

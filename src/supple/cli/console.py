@@ -1,4 +1,4 @@
-"""Messages and exit statuses of the command line: one line for all that goes wrong, and an exit status."""
+"""Messages and exit statuses of the command line: every failure is one line and an exit status."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ if TYPE_CHECKING:
 DONE, FAULT, REFUSED = 0, 1, 2
 INTERRUPTED = 128 + signal.SIGINT
 TERMINATED = 128 + signal.SIGTERM
-STREAM = "(standard)"  # a dash in place of a file: standard input or output
+STREAM = "(standard)"  # stands for "-" as a file: standard input or output
 PIPE_CLOSED = 141  # 128 + SIGPIPE, which Windows does not name
 
 
-# Arguments of the library that are options of the command.
+# Arguments of the library that have an option of the same name.
 _NAMES = (
     "annotate between border border_profile clamp clip codec compression convention crf crop density device "
     "distance elevation error eyes field_of_view fill filter first_frame fit fixed fixed_points flat force frame "
@@ -60,15 +60,15 @@ def naming(**others: str) -> Spelling:
 
 
 COMMAND = naming()
-"""How messages name arguments while a command runs."""
+"""The spelling of arguments in messages of a command."""
 
 
 class Terminated(BaseException):
-    """Somebody asked the process to end."""
+    """The process received SIGTERM or SIGHUP."""
 
 
 class SomeFailedError(Exception):
-    """Of several files, some were not done; each has been reported."""
+    """Some of several files failed; each failure has been reported."""
 
     def __init__(self, status: int) -> None:
         super().__init__()
@@ -76,14 +76,14 @@ class SomeFailedError(Exception):
 
 
 def one_line(text: object) -> str:
-    """Make any message a line that a terminal shows as it is."""
+    """Return a message as one line of printable characters."""
     joined = " ".join(str(text).splitlines())
     return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in joined)
 
 
 @dataclass(slots=True, eq=False)
 class File:
-    """A file that is worked on, and the warnings about it so far, which begin with its name if it is ``named``."""
+    """A file being processed, and the warnings about it so far, which begin with its name if ``named`` is true."""
 
     source: str = ""
     target: str = ""
@@ -92,7 +92,7 @@ class File:
 
 
 def _finite(value: Any) -> Any:
-    """Return a value as JSON holds it: an error that is infinite becomes null."""
+    """Return a value for JSON, with None (null) in place of numbers that are not finite."""
     if isinstance(value, Mapping):
         return {key: _finite(each) for key, each in value.items()}
     if isinstance(value, list | tuple):
@@ -105,7 +105,7 @@ _file: ContextVar[File | None] = ContextVar("file", default=None)
 
 @contextlib.contextmanager
 def about(file: File) -> Iterator[None]:
-    """Collect the warnings of this context in a file; threads that work for it run in a copy of the context."""
+    """Collect the warnings of this context in a `File`; worker threads run in a copy of the context."""
     token = _file.set(file)
     try:
         yield
@@ -114,25 +114,25 @@ def about(file: File) -> Iterator[None]:
 
 
 class Console:
-    """Where messages go. Line by line to standard error, which a progress bar leaves to them."""
+    """The output of messages: line by line to standard error, also beside a progress bar."""
 
     def __init__(self) -> None:
         self.quiet = self.strict = False
         self.arguments: tuple[str, ...] = ()  # of the command line, in order
         self.all = File()  # warnings without a file, or about a single one
-        self.goes_on = ""  # what is left of work that is interrupted, and what to do about it
+        self.goes_on = ""  # the message on what an interruption leaves, and how to resume
         self.names: dict[str, str] = {}  # user-visible names of temporary files
         self._said: set[str] = set()
         self._lock = threading.Lock()
 
     @property
     def file(self) -> File:
-        """The file that is worked on in this context."""
+        """The file being processed in this context."""
         return _file.get() or self.all
 
     @property
     def terminal(self) -> bool:
-        """Return whether a person watches."""
+        """Return whether to show progress: standard error is a terminal, and messages are wanted."""
         return not self.quiet and sys.stderr is not None and sys.stderr.isatty()
 
     def say(self, text: object) -> None:
@@ -145,7 +145,7 @@ class Console:
                 print(line, file=sys.stderr, flush=True)
 
     def note(self, text: object) -> None:
-        """Write a line to standard error, once, unless messages are unwanted."""
+        """Write a line to standard error, once, unless --quiet is given."""
         line = one_line(text)
         if self._is_new(line) and not self.quiet:
             self.say(line)
@@ -157,7 +157,7 @@ class Console:
         return new
 
     def tell(self, facts: Mapping[str, object]) -> None:
-        """Write one JSON object, a line, to standard output; the warnings about the file are added."""
+        """Write one JSON object as a line to standard output, with the warnings about the file."""
         warned = list(dict.fromkeys(self.all.warnings + self.file.warnings))
         line = json.dumps(_finite({**facts, "warnings": warned}))
         with self._lock:  # one line at a time, from any thread
@@ -165,16 +165,16 @@ class Console:
             sys.stdout.flush()
 
     def warn(self, text: object, *, meant: bool = False) -> None:
-        """Write a warning, unless it has been written before or is unwanted; with --strict, raise it as an error.
+        """Write a warning once, unless --quiet is given; with --strict, raise SuppleError instead.
 
-        With ``meant``, it says what was asked for, and is no error with --strict either. Files that are being written
-        are removed, as after every error.
+        With ``meant``, it is only a note on what the user asked for, and not an error with --strict. As after every
+        error, unfinished output files are removed.
         """
         file, line = self.file, one_line(text)
         names = tuple(one_line(name) for name in (file.source, file.target) if name)
         if names and not meant and (file.named or self.strict) and not line.startswith(names):
             line = f"{names[0]}: {line}"
-        file.warnings.append(line)  # each is told once
+        file.warnings.append(line)  # listed once for each file
         if self.strict and not meant:
             raise SuppleError(f"{line} (--strict: warnings are errors)")
         if self._is_new(line) and not self.quiet:
@@ -185,12 +185,12 @@ _current: ContextVar[Console] = ContextVar("console")
 
 
 def current() -> Console:
-    """Return the console of the command that runs."""
+    """Return the console of the running command."""
     return _current.get()
 
 
 def warn_of_software(console: Console, device: str) -> None:
-    """Warn that the GPU that was asked for is a program; SuppleError if there is not even such a one."""
+    """Warn if the requested GPU is emulated in software; SuppleError if there is none at all."""
     if device != "gpu":
         return
     from supple.gpu.device import open_gpu
@@ -201,19 +201,19 @@ def warn_of_software(console: Console, device: str) -> None:
 
 
 def say_convention(console: Console, world: bool, geometry: Geometry | None, name: object) -> None:
-    """Say in which coordinates points were taken, if they are places in space."""
+    """Print the convention of points that are positions in space."""
     if world and geometry and not console.quiet:
         console.say(f"points are {geometry.convention} millimetres, as {name} has them")
 
 
 def told(*deformations: Deformation, own: Grid | None = None) -> dict[str, Any]:
-    """Return what became of the strokes, as JSON holds it: of those that move, the worst of all frames.
+    """Return the facts on the strokes' results, ready for JSON; for moving strokes, the worst of all frames.
 
     ``own`` is the grid of the input, if it is not that of the deformations.
     """
     from supple.files.jobs import arrivals_on
 
-    bent = [each for each in dict.fromkeys(deformations) if each.strokes]  # frames passed on have none
+    bent = [each for each in dict.fromkeys(deformations) if each.strokes]  # frames that are passed on have no strokes
     each = [deformation.resolution() for deformation in bent or deformations[:1]]
     arrivals = zip(*(arrivals_on(own, deformations[0].grid, made["arrivals"]) for made in each), strict=True)
 
@@ -231,7 +231,7 @@ def told(*deformations: Deformation, own: Grid | None = None) -> dict[str, Any]:
 
 
 def run(command: Callable[[Console], object]) -> int:
-    """Run a command; turn however it ends into an exit status and at most one line."""
+    """Run a command; convert its result, an error or an interrupt to an exit status and at most one line."""
     console = Console()
     token = _current.set(console)
     try:
@@ -262,7 +262,7 @@ def run(command: Callable[[Console], object]) -> int:
 
 
 def outcome(error: Exception) -> tuple[str, int]:
-    """Return what is said of an error, and the exit status."""
+    """Return the message for an error, and the exit status."""
     if isinstance(error, SuppleError):
         return str(error), REFUSED
     if isinstance(error, MemoryError):
@@ -274,25 +274,25 @@ def outcome(error: Exception) -> tuple[str, int]:
 
 
 def _close_output() -> None:
-    """Keep the interpreter from trying once more at its end."""
+    """Redirect standard output to the null device, so that the interpreter's flush at exit cannot fail again."""
     with contextlib.suppress(OSError, ValueError, AttributeError):
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 @contextlib.contextmanager
 def _signals() -> Iterator[None]:
-    """End as after an interrupt, with everything cleaned up, when asked to terminate."""
+    """Raise `Terminated` on SIGTERM and SIGHUP, so that the command cleans up as after an interrupt."""
     before: dict[int, Any] = {}
     for name in ("SIGTERM", "SIGHUP") if threading.current_thread() is threading.main_thread() else ():
         number = getattr(signal, name, None)
-        if number is not None and signal.getsignal(number) == signal.SIG_DFL:  # others, such as nohup, set their own
+        if number is not None and signal.getsignal(number) == signal.SIG_DFL:  # not if nohup, say, has set one
             before[number] = signal.signal(number, _terminate)
     hook = sys.unraisablehook
     timers: list[threading.Timer] = []
 
     def again(ignored: sys.UnraisableHookArgs) -> None:
-        # What is raised where C calls Python, as a library that writes does, goes no further: the signal is sent once
-        # more, after this has returned.
+        # Exceptions in callbacks from C, as of a library that writes, are not propagated: so send the signal again,
+        # after this function has returned.
         sent = {KeyboardInterrupt: signal.SIGINT, Terminated: signal.SIGTERM}.get(ignored.exc_type)
         if sent is None:
             hook(ignored)
@@ -314,7 +314,7 @@ def _signals() -> Iterator[None]:
 def _send(number: signal.Signals) -> None:
     if sys.platform == "win32":
         signal.raise_signal(number)
-    else:  # which also ends a wait in the main thread
+    else:  # also wakes up a waiting main thread
         signal.pthread_kill(threading.main_thread().ident or 0, number)
 
 
@@ -324,7 +324,7 @@ def _terminate(number: int, frame: FrameType | None) -> NoReturn:
 
 @contextlib.contextmanager
 def deaf() -> Iterator[None]:
-    """Let nothing interrupt what must be finished."""
+    """Ignore interrupts and termination while something must be finished."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -338,7 +338,7 @@ def deaf() -> Iterator[None]:
 
 @contextlib.contextmanager
 def _warnings(console: Console) -> Iterator[None]:
-    """Make each of our warnings a line; those of others are for developers."""
+    """Print each of Supple's warnings as a line; other packages' warnings are ignored unless SUPPLE_DEBUG=1."""
 
     def show(message: Warning | str, category: type[Warning], *rest: object, **named: object) -> None:
         if category.__module__.startswith("supple."):

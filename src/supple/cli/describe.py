@@ -1,4 +1,4 @@
-"""The content of a file, in words."""
+"""Descriptions of files, for `supple info`."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ _TAGS = {"primaries": _PRIMARIES, "transfer": _TRANSFERS, "matrix": _MATRICES}
 def describe(
     name: str, *, layout: RawLayout | None = None, series: str | None = None, irregular: str | None = None
 ) -> tuple[dict[str, Any], str]:
-    """Return the facts on a file, ready for JSON, and the same for people, on several lines.
+    """Return the facts on a file, ready for JSON, and the same as text of several lines.
 
     ``layout``, ``series`` and ``irregular`` are as in `supple.media.volume.read`. SuppleError if it is no picture,
     video, image sequence, volume, Zarr store or recipe (.json).
@@ -84,7 +84,7 @@ def describe(
 
 
 def _stored(name: str) -> tuple[dict[str, Any], str]:
-    """Return the facts on a Zarr array or an OME-Zarr image; no sample is read."""
+    """Return the facts on a Zarr array or an OME-Zarr image, as `describe` does, without reading samples."""
     from supple.media.stores.image import open_image
 
     image = open_image(name)
@@ -136,7 +136,7 @@ def _stored(name: str) -> tuple[dict[str, Any], str]:
 
 
 def _field(name: str) -> dict[str, Any]:
-    """Return the convention of a NIfTI file that is a displacement field without doubt."""
+    """Return the facts on the convention of a NIfTI file; empty unless it is certainly a displacement field."""
     from supple.media import transforms
 
     try:
@@ -156,7 +156,7 @@ def _described_video(name: str) -> tuple[dict[str, Any], str]:
     facts["last_timecode"] = None
     if not facts["variable"]:
         known = Numbering(name, facts["frames"], facts["rate"], start=facts["timecode"] or "")
-        with contextlib.suppress(SuppleError):  # it does not fit the rate
+        with contextlib.suppress(SuppleError):  # the start timecode does not fit the rate
             facts["last_timecode"] = known.timecode(known.count - 1)
     told = {key: str(value) if isinstance(value, Fraction) else value for key, value in facts.items()}
     return {"file": name, "kind": "video", **told}, _video(name, facts)
@@ -254,7 +254,7 @@ def _sequence(name: str, facts: Mapping[str, Any]) -> str:
 
 
 def listed(name: str, lines: Mapping[str, object]) -> str:
-    """Return facts for people, a line each; those that are None are left out."""
+    """Return facts as text, one line each, without those that are None."""
     told = (f"  {key:<12}{value}" for key, value in lines.items() if value is not None)
     return "\n".join([f"{shown(name)}:", *told])
 
@@ -289,7 +289,7 @@ def _mask(mask: Freeze | None) -> str | None:
 
 
 def _stroke(s: Stroke) -> str:
-    """Return what a stroke does, in the words of messages, and where it is not the usual."""
+    """Return the description of a stroke, with those of its parameters that are not defaults."""
     parts: dict[str, object]
     if s.brush == "freeze":
         parts = {described(s): True, str(_mask(s.matte)): True}
@@ -312,7 +312,7 @@ def _stroke(s: Stroke) -> str:
 
 
 def _motion(stroke: Stroke) -> str:
-    """Return over which frames a stroke moves, turns and grows, or changes its strength."""
+    """Return the description of the frames in which a stroke moves, turns and grows, or changes its strength."""
     told = []
     for what, names in (("moving", ["at"]), ("turning", ["angle", "scale"]), ("changing its strength", ["strength"])):
         if frames := [key.frame for key in stroke.keys if any(getattr(key, name) is not None for name in names)]:

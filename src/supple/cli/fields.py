@@ -200,7 +200,7 @@ def convert(
 
 
 def parse_maps(words: Sequence[str]) -> list[Input]:
-    """Read files and what is said of each from the command line: an option is about the file before it."""
+    """Parse files and their options from the command line: an option applies to the file before it."""
     from supple.files.fields import Input
 
     made: list[Input] = []
@@ -291,7 +291,7 @@ def _checked(made: CheckedFile) -> str:
 
 
 def _file(file: MapFile, verb: str) -> str:
-    """Return what is known of a file of maps, on several lines."""
+    """Return the description of a file of maps, on several lines."""
     kind, inverted = file.kind, "; inverted" if file.inverse else ""
     lines = [
         f"{shown(file.path)}: {verb} as {kind.label} ({kind.space}, {kind.units}), {file.known}{inverted}",

@@ -1,4 +1,4 @@
-"""The command that tells what files hold."""
+"""The command that describes files."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Many pictures: which they are, where they go, and how they are worked on side by side."""
+"""Batches of pictures: finding inputs, naming outputs, and processing several at a time."""
 
 from __future__ import annotations
 
@@ -29,15 +29,15 @@ _KNOWN = PICTURES | CLIPS | ONE_FILE
 
 
 def pair(given: Sequence[str], target: str, *, recursive: bool = False) -> tuple[list[Job], bool, list[Path]]:
-    """Find the pictures, and name what each becomes.
+    """Find the input files, and name the output of each.
 
-    ``given`` are files, folders and patterns; ``target`` is a file, or a folder, if it is one, ends in a slash, or
-    there may be several pictures. Returns sources and targets, in order; whether the target is a folder; and folders
-    within those that are given, or that match a pattern, which are not entered, unless it is ``recursive``: then those
-    of the target have the same names.
+    ``given`` are files, folders and patterns; ``target`` is a file, or a folder if it exists as one, ends in a slash,
+    or there may be several pictures. Return pairs of input and output, in order; whether the target is a folder; and
+    the skipped folders, which were within a given folder or matched a pattern. With ``recursive``, folders are entered
+    instead, and have the same names in the target.
     """
     left: list[Path] = []
-    found: list[tuple[Path, Path]] = []  # with the name below the target
+    found: list[tuple[Path, Path]] = []  # (input, output relative to the target)
     several = len(given) > 1
     for name in given:
         path = Path(name)
@@ -46,10 +46,10 @@ def pair(given: Sequence[str], target: str, *, recursive: bool = False) -> tuple
             inside = list[Path]()
             for folder, names, files in os.walk(name, onerror=_unreadable, followlinks=True):
                 seen = [Path(folder, file) for file in sorted(files) if file[0] != "." and suffix_of(file) in _KNOWN]
-                inside += [path for path in seen if path.is_file()]  # no pipes, nor links that lead nowhere
+                inside += [path for path in seen if path.is_file()]  # neither pipes nor broken links
                 below = [Path(folder, each) for each in sorted(names) if each[0] != "."]
                 left += [] if recursive else below
-                earlier = os.path.realpath(target)  # of an earlier run
+                earlier = os.path.realpath(target)  # outputs of an earlier run, which are not inputs
                 names[:] = [each.name for each in below if recursive and os.path.realpath(each) != earlier]
             if not inside:
                 told = f"the folder {shown(name)} holds no pictures or DICOM slices"
@@ -94,7 +94,7 @@ def _unreadable(error: OSError) -> NoReturn:
 
 
 def summary(jobs: Sequence[Job], failed: Collection[Path], there: int, target: str, left: Sequence[Path]) -> str:
-    """Return what became of several files, in one line: of those that ``failed``, and those that were there already."""
+    """Return a summary of several files in one line; ``there`` existed already, and ``left`` are skipped folders."""
     count = len(jobs)
     done = f"{count - len(failed)} of {count} files" if failed else f"{count} file{'s' * (count != 1)}"
     kept = f", {there} there already" if there else ""
@@ -105,7 +105,7 @@ def summary(jobs: Sequence[Job], failed: Collection[Path], there: int, target: s
 
 
 def make_folders(jobs: Sequence[Job]) -> None:
-    """Make the folders that targets go into."""
+    """Create the folders of the targets."""
     for folder in dict.fromkeys(target.parent for _, target in jobs):
         try:
             folder.mkdir(parents=True, exist_ok=True)
@@ -117,10 +117,10 @@ def make_folders(jobs: Sequence[Job]) -> None:
 
 @contextlib.contextmanager
 def piped(job: tuple[PathLike, PathLike], console: Console, otherwise: str = "") -> Iterator[tuple[PathLike, PathLike]]:
-    """Put files in the place of standard input and output, which are named by a dash.
+    """Yield a job with temporary files in place of standard input and output, which are named by a dash.
 
-    What is written to standard output is of the source's format, and comes when it is whole. Input that does not say of
-    what format it is gets the suffix ``otherwise``.
+    Standard output gets the source's format, and is written when the file is complete. Input of an unknown format gets
+    the suffix ``otherwise``.
     """
     source, target = job
     if STREAM not in (str(source), str(target)):
@@ -150,7 +150,7 @@ def piped(job: tuple[PathLike, PathLike], console: Console, otherwise: str = "")
 
 
 def _suffix_by_content(begin: bytes) -> str:
-    """The suffix of a file that begins so, where its reader goes by the name; none of a picture."""
+    """Return the suffix for the first bytes of a file, for formats that are read by suffix; empty for pictures."""
     brand = begin[8:12]
     if begin[4:8] == b"ftyp" and brand not in (b"avif", b"avis", b"heic", b"heix", b"mif1", b"msf1"):
         return ".mov" if brand == b"qt  " else ".mp4"
@@ -171,7 +171,7 @@ def _suffix_by_content(begin: bytes) -> str:
 
 
 def _suffix_like(source: Path) -> str:
-    """The suffix of a file; of one without a name, that of its format."""
+    """Return the suffix of a file, or, if its name has none, that of its image format."""
     if source.suffix:
         return suffix_of(source)
     from supple.media.image import info
@@ -197,10 +197,10 @@ class _StoppedError(Exception):
 
 
 class Crew:
-    """Works on several pictures at once, as far as cores and memory go.
+    """A pool of threads that process several pictures at once, limited by cores and memory.
 
-    An interrupt stops them where they are, except for files that are being written: these are finished, since only
-    then nothing of them stays behind.
+    An interrupt stops all jobs, except for those that are writing: these are finished, so that no temporary files
+    remain.
     """
 
     def __init__(self, workers: int, memory: float | None = None) -> None:
@@ -227,7 +227,7 @@ class Crew:
                 for done, future in enumerate(_ended(futures), 1):
                     error = future.exception()
                     if error is not None and (not isinstance(error, Exception) or isinstance(error, BrokenPipeError)):
-                        raise error  # the reader of the output is gone
+                        raise error  # interrupts, and BrokenPipeError if the reader of the output is gone
                     if error is not None:
                         message, blame = outcome(error)
                         source, target = map(shown, futures[future])
@@ -277,7 +277,7 @@ class Crew:
 
 
 def _ended(futures: Iterable[Future[None]]) -> Iterator[Future[None]]:
-    """Yield futures as they end; waiting in steps, as a signal that another thread gets does not wake this one."""
+    """Yield futures as they end; it polls, since a signal that another thread receives does not end a wait."""
     waiting = set(futures)
     while waiting:
         ended, waiting = wait(waiting, timeout=0.2, return_when=FIRST_COMPLETED)
@@ -285,7 +285,7 @@ def _ended(futures: Iterable[Future[None]]) -> Iterator[Future[None]]:
 
 
 def _size(path: Path) -> float:
-    """Estimate the memory that a picture takes, twice its pixels; what cannot be read takes none."""
+    """Return an estimate of the bytes of memory for a picture, twice its pixels; 0 if it cannot be read."""
     from supple.media.image import info
 
     try:

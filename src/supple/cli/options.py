@@ -1,4 +1,4 @@
-"""Options that several commands have, and how numbers are read."""
+"""Options that several commands share, and the parsing of numbers."""
 
 import glob
 import math
@@ -32,7 +32,7 @@ SAMPLING = Group("Sampling", sort_key=2)
 STORES = Group("Zarr stores", sort_key=4.5)
 VOLUME = Group("Volumes", sort_key=5)
 COORDINATES = {"lps": "LPS", "ras": "RAS", "index": "index"}
-"""The names of coordinates of points, by how they are spelt in lower case."""
+"""The coordinates of points, by their names in lower case."""
 
 
 Options = TypeVar("Options")
@@ -42,7 +42,7 @@ Texts = tuple[str, ...]
 
 @dataclass_transform(kw_only_default=True)
 def options_of(group: Group | None = None) -> "Callable[[type[Options]], type[Options]]":
-    """Return a decorator of options that several commands have, in a group of their help."""
+    """Return a decorator for a dataclass of options that several commands share, shown in a group of their help."""
 
     def options(kind: "type[Options]") -> "type[Options]":
         return Parameter(name="*", group=group)(dataclass(kw_only=True, eq=False, repr=False)(kind))
@@ -51,7 +51,7 @@ def options_of(group: Group | None = None) -> "Callable[[type[Options]], type[Op
 
 
 def parse_numbers(name: str, text: str, wanted: str, *counts: int) -> tuple[float, ...]:
-    """Read numbers from the command line, as many as one of the ``counts``, if any are given."""
+    """Parse comma-separated numbers; their count must be one of ``counts``, if any are given."""
     try:
         numbers = tuple(map(float, text.split(",")))
     except ValueError:
@@ -62,17 +62,17 @@ def parse_numbers(name: str, text: str, wanted: str, *counts: int) -> tuple[floa
 
 
 def parse_number(name: str, text: str, wanted: str) -> float:
-    """Read a number from the command line."""
+    """Parse a number."""
     return parse_numbers(name, text, wanted, 1)[0]
 
 
 def parse_three(name: str, text: str) -> tuple[float, ...]:
-    """Read a number for each axis from the command line."""
+    """Parse three numbers, one for each axis."""
     return parse_numbers(name, text, "three numbers X,Y,Z", 3)
 
 
 def parse_integer(name: str, text: str, wanted: str) -> int:
-    """Read a whole number from the command line."""
+    """Parse an integer."""
     try:
         return int(text)
     except ValueError:
@@ -80,7 +80,7 @@ def parse_integer(name: str, text: str, wanted: str) -> int:
 
 
 def read(how: Callable[[str, str], object], metavar: str, **more: Any) -> Parameter:
-    """Return an option that a function reads, from its name and its value."""
+    """Return an option that is parsed by ``how(name, text)``."""
 
     def convert(kind: object, tokens: Sequence[Token]) -> object:
         return how(tokens[0].keyword or "", tokens[0].value)
@@ -89,12 +89,12 @@ def read(how: Callable[[str, str], object], metavar: str, **more: Any) -> Parame
 
 
 def number(wanted: str, metavar: str, **more: Any) -> Parameter:
-    """Return an option that is a number; anything else must be what is ``wanted``."""
+    """Return an option that is a number; ``wanted`` describes it in the error for anything else."""
     return read(partial(parse_number, wanted=wanted), metavar, **more)
 
 
 def whole(metavar: str = "N", **more: Any) -> Parameter:
-    """Return an option that is a whole number, which Cyclopts would round."""
+    """Return an option that is an integer; fractions are errors, which cyclopts would round."""
     return read(partial(parse_integer, wanted="a whole number"), metavar, **more)
 
 
@@ -117,7 +117,7 @@ def _scale(option: str, text: str) -> float:
 
 
 def _rate(option: str, text: str) -> "float | Fraction":
-    """Read frames a second: a number, or a ratio of two."""
+    """Parse frames a second: a number, or a ratio of two."""
     from fractions import Fraction
 
     if "/" not in text:
@@ -133,7 +133,7 @@ def _rate(option: str, text: str) -> "float | Fraction":
 
 
 def _memory(option: str, text: str) -> float:
-    """Read gigabytes, as bytes."""
+    """Parse gigabytes, and return bytes."""
     from supple.files.options import GB
 
     memory = parse_number(option, text, "a number of gigabytes")
@@ -143,7 +143,7 @@ def _memory(option: str, text: str) -> float:
 
 
 def memory_option(**more: Any) -> Parameter:
-    """Return an option in gigabytes, read as bytes."""
+    """Return an option that is given in gigabytes, and returned in bytes."""
     return read(_memory, "GB", **more)
 
 
@@ -172,7 +172,7 @@ class RunOptions:
     threads: Annotated[int | None, whole()] = None
 
     def start(self, file: str = "") -> Console:
-        """Return the console of the command, which now goes by these options, and reads a file."""
+        """Apply these options to the console of the command, which reads ``file``; return the console."""
         console = current()
         console.quiet, console.strict, console.all.source = self.quiet, self.strict, file
         named = os.environ.get("SUPPLE_THREADS", "") if self.threads is None else str(self.threads)
@@ -185,14 +185,14 @@ class RunOptions:
 
 
 def parse_first(option: str, text: str) -> "int | str":
-    """Read the number of the first frame."""
+    """Parse the number of the first frame, or "files"."""
     return text if text == "files" else parse_integer(option, text, "a whole number, or files")
 
 
 class Frames:
-    """How the frames of a clip are typed: from the number of the ``first`` one, or as timecodes; others count from 0.
+    """A parser of frames of a clip: numbers that count from ``first``, 0 if it is None, or timecodes.
 
-    The clip is opened where that is needed. ``first`` is None if it is not given, or "files".
+    The clip is opened only if that is needed. ``first`` is a number, None, or "files".
     """
 
     def __init__(self, source: str, first: Any = None, rate: Any = None) -> None:
@@ -217,11 +217,11 @@ class Frames:
     def read(self, option: str, text: str) -> int:
         """Return a frame, counted from 0; SuppleError if the clip does not have it."""
         if self._first is None and text.lstrip("+-").isdecimal():
-            return int(text)  # checked where it is used
+            return int(text)  # the range is checked later
         return self._numbering.read(option, text)
 
     def part(self, option: str, text: str) -> tuple[int, int]:
-        """Return the first and the last frame of a part, A-B."""
+        """Return the first and the last frame of a range A-B, counted from 0."""
         ends = text.split("-")
         if len(ends) != 2:
             raise SuppleError(f"{option} must be the first and the last frame, A-B (1010-1035, say), found {text!r}")
@@ -231,9 +231,9 @@ class Frames:
         return first, last
 
     def plain(self, option: str, text: str) -> str:
-        """Return the points of a stroke with numbers in place of timecodes, each the third number of a point.
+        """Return the text of a stroke with its timecodes, the third numbers of points, replaced by numbers.
 
-        A timecode has four numbers between colons, and no stroke has more than two: so it cannot be taken for others.
+        A timecode is unambiguous: it has four numbers between colons, and no stroke has more than two.
         """
         from supple.media.timecode import PATTERN
 
@@ -261,7 +261,7 @@ class TimeOptions:
     first_frame: Annotated[Any, read(parse_first, "N|files")] = None
 
     def frames(self, source: str) -> Frames:
-        """Return how frames of a clip are typed."""
+        """Return the parser of frames of a clip."""
         return Frames(source, self.first_frame, getattr(self, "rate", None))
 
 
@@ -300,7 +300,7 @@ class VideoOptions(TimeOptions):
     memory: Annotated[float | None, memory_option()] = None
 
     def to_clip(self) -> "ClipOptions":
-        """Return the options as the library takes them."""
+        """Return the options as a `ClipOptions`."""
         from supple.files.options import ClipOptions
 
         given = {name: value for name, value in vars(self).items() if value not in (None, "files")}
@@ -344,7 +344,7 @@ class TrackOptions:
     def followed(
         self, recipe: "Recipe", own: Sequence[int], paths: Sequence[str], memory: float, frames: Frames
     ) -> "Recipe":
-        """Return a recipe of which these strokes, those of the command line, follow the tracks."""
+        """Return a recipe in which the strokes ``own``, those of the command line, follow the tracks."""
         given = [name for name, value in vars(self).items() if value not in (None, (), False)]
         if self.track == "auto":
             given = [name for name in given if name not in ("track", "track_frame", "outside_track")]
@@ -411,7 +411,7 @@ class VolumeArguments:
     spacing: Annotated[Any, read(parse_three, "X,Y,Z")] = None
 
     def to_reading(self, *, labels: bool | str = False, save_field: str | None = None) -> "Reading":
-        """Return the options as the library takes them."""
+        """Return the options as a `VolumeOptions`."""
         from supple.files.options import VolumeOptions as Reading
 
         layout = None
@@ -428,9 +428,9 @@ class VolumeArguments:
 
 
 def convention_of(path: str, reading: "Reading") -> str | None:
-    """Return the convention of a volume, as `Geometry` has it; None of anything else.
+    """Return the convention of a volume, as in `Geometry`; None for other files.
 
-    Of several files, it is that of the first one; of standard input, which cannot be read twice, that of DICOM.
+    For several files, it is that of the first; for standard input, which cannot be read twice, that of DICOM.
     """
     from supple.files.volumes import place_of
     from supple.media.medium import ONE_FILE, holds_volumes
@@ -483,7 +483,7 @@ class SeveralOptions:
     jobs: Annotated[int | None, whole()] = None
 
     def check(self, many: bool, force: bool) -> None:
-        """Refuse these options where there is one file, or where they contradict each other."""
+        """Raise SuppleError if these options are given for a single file, or contradict each other."""
         loose = next((name for name, value in vars(self).items() if value not in (False, None)), None)
         if loose is not None and not many:
             option = f"--{loose.replace('_', '-')}"
@@ -513,11 +513,11 @@ class WorkerOptions:
 
     @property
     def given(self) -> str | None:
-        """The name of an option that is given; None if none is."""
+        """The name of a given option; None if there is none."""
         return next((f"--{name}" for name, value in vars(self).items() if value is not None), None)
 
     def to_running(self) -> "Running":
-        """Return the options as the library takes them."""
+        """Return the options as a `Running`."""
         from supple.files.tasks import Running
 
         return Running(**vars(self))
@@ -546,9 +546,9 @@ class SamplingOptions:
     tolerance: Annotated[float, number("a number of pixels above 0", "PX")] = 0.01
 
     def to_sampling(self, elsewhere: bool, linear_light: bool = False) -> "tuple[Sampling, str | None]":
-        """Return the options as the library takes them, and the boundary mode that was asked for.
+        """Return the `Sampling`, and the boundary mode that was asked for, or None.
 
-        If maps or a reference may lead ``elsewhere``, a fill value says by itself that it is a constant.
+        If maps or a reference may lead outside the input (``elsewhere``), a fill value implies the constant mode.
         """
         from supple.engine.sampling import Sampling
 

@@ -1,4 +1,4 @@
-"""Options of fields, affine maps and output grids, in the order in which they are given."""
+"""Options for fields and affine maps, which apply in the order given, and for output grids."""
 
 import os
 import re
@@ -64,12 +64,12 @@ class MapOptions:
 
     @property
     def given(self) -> dict[str, Texts]:
-        """The values of the options here that have an order."""
+        """The values of the options whose order matters."""
         return {"--field": self.field, "--affine": self.affine, "--convention": self.convention}
 
     @property
     def coordinates(self) -> str | None:
-        """The coordinates of all points that do not name theirs, where --convention may say these: LPS, RAS, index."""
+        """The coordinates in --convention for points without their own: LPS, RAS, index or None."""
         found = {COORDINATES[name.lower()] for name in self.convention if name.lower() in COORDINATES}
         if len(found) > 1:
             raise SuppleError(f"--convention of points is given as {' and '.join(sorted(found))}: leave one out")
@@ -100,13 +100,13 @@ class OutputOptions:
 
     @property
     def onto(self) -> str | None:
-        """The image whose grid it is."""
+        """The image whose grid the output has; None if not given."""
         if self.fixed is not None and self.reference is not None:
             raise SuppleError("--fixed and --reference name the same grid: leave --reference out")
         return self.fixed or self.reference
 
     def to_grid(self) -> "GridOptions | None":
-        """Return the grid of the output as the library takes it."""
+        """Return the options of the output grid for the library; None if none is given."""
         from supple.files.options import GridOptions
 
         if self.onto is None and self.crop is None and self.resample is None:
@@ -124,7 +124,7 @@ class OutputOptions:
 
 @dataclass(slots=True)
 class _Entry:
-    """A --field or an --affine, and what is said of it."""
+    """A --field or an --affine, with the options after it."""
 
     option: str
     text: str
@@ -141,11 +141,11 @@ class _Entry:
         return f"{self.option} {self.text}" if self.is_numbers else f"{self.option} {shown(self.text)}"
 
     def read(self, here: "Grid | None", there: "Grid | None", *, last: bool) -> "tuple[list[Placed], str | None]":
-        """Return the maps in the order of the elements of a deformation, and the convention of the file.
+        """Return the maps in the order of a deformation's elements, and the convention of the file.
 
-        Of these elements, the last is the first of the output's. ``here`` is the grid of the image that a point of the
-        output is led to, and ``there`` that of the image that it comes from, as far as they are known: they are if this
-        is the first entry, or the ``last``, whose other image --reference may name.
+        The last element applies first to a point of the output. ``here`` is the grid of the image on the input side of
+        the entry, known for the first entry; ``there`` is that of the image on its output side, known for the ``last``
+        entry if --reference names it. Unknown grids are None.
         """
         from supple import fields
         from supple.files import maps
@@ -183,9 +183,9 @@ _Read = tuple[_Entry, list["Placed"], str | None]
 
 
 class Maps:
-    """The maps among the strokes of a command, read when the grid of an input is known.
+    """The maps among the strokes of a command, which are read when the grid of an input is known.
 
-    Of several inputs on one grid, files are read once.
+    For several inputs on one grid, files are read once.
     """
 
     def __init__(self, reference: str | None = None) -> None:
@@ -196,15 +196,15 @@ class Maps:
         self._known: tuple[Grid | None, list[_Read]] | None = None
 
     def add(self, option: str, value: str, after: int, *, back: bool) -> None:
-        """Take an option in the order of the command line: a map ``after`` some strokes, or what is said of the last.
+        """Add the next option of the command line: a map, which follows ``after`` strokes, or an option of a map.
 
-        If points can go ``back``, an --inverse before all maps says so.
+        With ``back``, an --inverse before all maps means that points are mapped from the output to the input.
         """
         last = self._entries[-1] if self._entries else None
         if option in ("--field", "--affine"):
             self._entries.append(_Entry(option, value, after))
         elif option == "--convention" and value.lower() in COORDINATES:
-            pass  # of points
+            pass  # a convention of points
         elif option == "--inverse" and back and last is None:
             self.back = True
         elif last is None:
@@ -225,7 +225,7 @@ class Maps:
         return bool(self._entries)
 
     def output(self, source: "Grid") -> "Grid":
-        """Return the grid of the output, of an input on ``source``: that of the reference, or the same."""
+        """Return the grid of the output for an input on ``source``: that of the reference, or ``source``."""
         from supple.files.grids import reference_grid
 
         return source if self.reference is None else reference_grid(self.reference, source.ndim)
@@ -245,7 +245,7 @@ class Maps:
                     if self.reference is not None and source is not None:
                         fixed = self.output(source)
                 except SuppleError as error:
-                    refused = error  # unless it is not needed: pages become a volume by what the maps are
+                    refused = error  # raised only if needed: the maps may show that pages are a volume
                 read = list[_Read]()
                 most = len(self._entries) - 1
                 for k, entry in enumerate(self._entries):
@@ -261,14 +261,14 @@ class Maps:
     def placed(
         self, console: "Console", job: "Job", grid_of: "Callable[[Job], Grid | None]" = lambda job: job.medium.grid
     ) -> "Job":
-        """Return a job with the maps, on the grid of its file; tell of each."""
+        """Return a job with the maps, read for the grid of its file; print each."""
         from supple.files.clips import refuse_maps
 
         if not self:
             return job
         own = grid_of(job)
         if own is not None and any(each.map.ndim != own.ndim for each in self.read(own)):
-            job = replace(job, maps=self.read(own))  # by which pages may become a volume
+            job = replace(job, maps=self.read(own))  # with these, pages may become a volume
             own = grid_of(job)
         if own is None:
             refuse_maps(job.source)
@@ -277,7 +277,7 @@ class Maps:
     def on(
         self, console: "Console", source: "Grid", name: str, grid: "GridOptions | None" = None
     ) -> "tuple[Placed, ...]":
-        """Return the maps for an input on this grid, and tell of each; refuse what does not fit it."""
+        """Return the maps for an input on this grid, and print each; SuppleError if one does not fit the grid."""
         from supple.files.grids import grid_on
 
         maps = self.read(source)
@@ -288,11 +288,11 @@ class Maps:
         return maps
 
     def check_sizes(self, source: "Grid", name: str) -> None:
-        """Refuse maps that have a value for each pixel of a picture, and are not of its size.
+        """Raise SuppleError for maps with a value for each pixel whose size is not that of their picture.
 
-        Each map leads from one picture to the next, from the input to the output, and has the size of the one after it,
-        or, if it is inverted, of the one before it. Only the first and the last are known: of another one, a warning is
-        given unless it is of a size that occurs.
+        Maps lead from picture to picture, from the input to the output. Each has the size of the picture after it, or,
+        if it is inverted, of the one before it. Only the sizes of the input and the output are known: for a picture
+        between them, a warning is given unless the size occurs elsewhere.
         """
         from supple.fields import Field
 
@@ -302,7 +302,7 @@ class Maps:
         within: dict[int, tuple[str, Grid]] = {}
         for k, (entry, placed, convention) in enumerate(self._read(source)):
             held = placed[0].map if placed else None
-            # one that does not begin at the first pixel is of more than the picture, or of a part
+            # a map with another origin covers more than the picture, or a part of it
             if convention not in _ON_PIXELS or not isinstance(held, Field) or any(held.grid.origin):
                 continue
             at, told = k if entry.inverse else k + 1, f"{shown(entry.text)} is a map of {_size(held.grid)} pixels, and"
@@ -331,7 +331,7 @@ class Maps:
                 )
 
     def facts(self, source: "Grid | None") -> list[dict[str, Any]]:
-        """Return what is told of each map, as JSON holds it."""
+        """Return the facts on each map, ready for JSON."""
         read = self._read(source)
         return [_facts(entry, placed, convention) for entry, some, convention in read for placed in some]
 
@@ -358,7 +358,7 @@ def _facts(entry: _Entry, placed: "Placed", convention: str | None) -> dict[str,
 
 
 def grid_facts(grid: "Grid") -> dict[str, Any]:
-    """Return a grid as JSON holds it."""
+    """Return the facts on a grid, ready for JSON."""
     return {
         "size": list(grid.sizes),
         "spacing": list(grid.spacing),
@@ -368,7 +368,7 @@ def grid_facts(grid: "Grid") -> dict[str, Any]:
 
 
 def describe_map(facts: dict[str, Any]) -> str:
-    """Return what is told of a map, in a line."""
+    """Return the description of a map, in one line."""
     unit = "mm in LPS" if facts["units"] == "mm" else "pixels"
     what = (
         "an affine map" if facts["kind"] == "affine" else f"a field on {describe_grid(facts['grid'], facts['units'])}"
@@ -381,7 +381,7 @@ def describe_map(facts: dict[str, Any]) -> str:
 
 
 def describe_grid(facts: dict[str, Any], units: str) -> str:
-    """Return what is told of a grid, in words."""
+    """Return the description of a grid, in words."""
     sizes, steps, origin = (" x ".join(f"{x + 0.0:g}" for x in facts[name]) for name in ("size", "spacing", "origin"))
     return f"{sizes} samples, spacing {steps} {units}, from ({origin.replace(' x ', ', ')})"
 
@@ -389,9 +389,9 @@ def describe_grid(facts: dict[str, Any], units: str) -> str:
 def say_output(
     console: "Console", made: "Warped | WarpedStore", grid: "Grid | None", target: object, source: object, world: bool
 ) -> None:
-    """Say on what grid a result is, if it is given, what its points are, and what lies outside of the input.
+    """Print the grid of a result if it was given, the convention of its points, and the fill value outside the input.
 
-    The last is said unless it was asked for.
+    The fill value is printed only if it was chosen automatically.
     """
     target, source = shown(str(target)), shown(str(source))
     if grid is not None:
@@ -406,7 +406,7 @@ def say_output(
 
 
 def output_facts(made: "Warped | WarpedStore") -> dict[str, Any]:
-    """Return what is told of the grid of a result, and of what maps do to it."""
+    """Return the facts on the grid of a result, and on the effects of maps, ready for JSON."""
     facts: dict[str, Any] = {}
     if made.background is not None:
         facts["background"] = made.background

@@ -1,4 +1,4 @@
-"""Options of strokes, and what a command line makes of them and of the maps among them, in the order given."""
+"""Options for strokes, and their conversion, with the maps among them, to a recipe, in the order given."""
 
 import contextlib
 import math
@@ -40,11 +40,11 @@ STROKES = Group("Strokes", sort_key=1)
 STRAIGHTEN = Group("Straighten pictures", sort_key=1.2)
 
 BRUSHES = ("--grab", "--twist", "--scale", "--pinch", "--pull", "--push")
-"""The options that are strokes."""
+"""The options that add a stroke."""
 
 FRAMES = ("crop", "pad", "keep")
 _ONE_OF = "give --grab, --twist, --scale, --pinch, --pull or --push"
-# Of one stroke, and of all of them.
+# Options of each stroke, and of all strokes together.
 _OF_EACH = ("radius", "poisson", "scales", "reach", "time_radius", "flat", "strength", "matte", "mirror")
 _OF_ALL = ("border", "border_profile", "freeze", "freeze_width", "on_fold", "amount")
 _LENGTH = "a number of pixels or millimetres above 0, or a percentage"
@@ -63,10 +63,9 @@ _WANTED = {
 
 
 def in_order(arguments: Sequence[str], given: Mapping[str, Sequence[str]]) -> list[tuple[str, str]]:
-    """Return the options of a command line that have an order, with their values.
+    """Return the options of a command line whose order matters, as (option, value), in order.
 
-    ``given`` has the values of each of these options, as the parser found them: SuppleError if they differ from what is
-    found in the arguments.
+    ``given`` has the parsed values of each of these options: SuppleError if they differ from those in ``arguments``.
     """
     found, rest = [], iter(arguments)
     for argument in rest:
@@ -82,7 +81,7 @@ def in_order(arguments: Sequence[str], given: Mapping[str, Sequence[str]]) -> li
 
 
 def _part(option: str, text: str) -> float:
-    """Read a part of strokes, in percent or as a number."""
+    """Parse the strength of strokes, a number or a percentage."""
     from supple.strokes import LEAST, MOST
 
     wanted = "a part of the strokes, from -100% to 200%, or from -1 to 2"
@@ -237,13 +236,13 @@ class StrokeOptions:
 
     @property
     def given(self) -> dict[str, Sequence[str]]:
-        """The values of the options that are strokes, or stand among them."""
+        """The values of the options that are strokes, or whose order among strokes matters."""
         options = {option: getattr(self, option[2:]) for option in (*BRUSHES, "--freeze")}
         return {**options, "--recipe": () if self.recipe is None else (self.recipe,)}
 
     @property
     def any(self) -> bool:
-        """Return whether there is anything to do."""
+        """Return whether these options have any effect."""
         return self.bends or self.straightens
 
     @property
@@ -257,7 +256,7 @@ class StrokeOptions:
         return any(value is not None for value in (self.rotate, self.shear, self.keystone, self.scale_to))
 
     def to_fit(self) -> "Fit | None":
-        """How a recipe fits another size; refuse what is said of a recipe where there is none."""
+        """Return how a recipe is fitted to another size; SuppleError if --fit is given twice, or without a recipe."""
         found: list[Fit] = [fit for fit in self.fit if fit not in FRAMES]  # type: ignore[misc]
         if len(found) > 1 or len(self.fit) - len(found) > 1:
             raise SuppleError(f"--fit is given as {' and '.join(self.fit)}: leave one out")
@@ -266,7 +265,7 @@ class StrokeOptions:
         return found[0] if found else None
 
     def _straighten(self, known: "Straighten | None") -> "Straighten | None":
-        """Return how the picture is straightened, by the recipe, and in its place by the options given."""
+        """Return the straightening of the picture: the recipe's, with the given options in place of its values."""
         from supple.space.straighten import Straighten
 
         framed = [fit for fit in self.fit if fit in FRAMES]
@@ -300,10 +299,10 @@ class StrokeOptions:
         target: str | os.PathLike[str] | None = "",
         **how: Any,
     ) -> Edits:
-        """Return what a command line does to a source, whose landmarks and percentages are those of strokes.
+        """Return the edits of a source by a command line, with landmarks and percentages of the source resolved.
 
-        Without a ``target``, there are several sources: landmarks are then anywhere, and 100% is any length, so that
-        ``relative`` edits say only how many strokes there are. More is passed on to `edits_in`.
+        A ``target`` of None means several sources: landmarks and percentages are then placeholders, so that only the
+        number of strokes is meaningful in ``relative`` edits. ``how`` is passed on to `edits_in`.
         """
         from supple.files.jobs import Job
         from supple.files.places import Places
@@ -316,7 +315,7 @@ class StrokeOptions:
             raise SuppleError("--percent-of is for percentages of strokes, and there are none: leave it out")
         if not places.used or target is None:
             return edits
-        medium = Job(source, target, edits.recipe, volume=reading).medium  # by how many numbers points have
+        medium = Job(source, target, edits.recipe, volume=reading).medium  # depends on the points' axes
         places = Places(medium, self.landmarks, self.percent_of)
         return self.edits_in(places, maps, reading, arguments, source, **how)
 
@@ -335,12 +334,12 @@ class StrokeOptions:
         points: bool = False,
         back: bool = False,
     ) -> Edits:
-        """Return the edits, in which landmarks and percentages are those of ``places``.
+        """Return the edits, with landmarks and percentages resolved by ``places``.
 
-        ``reference`` is the image on whose grid the maps end. ``frames`` is how the frames of a clip are typed. If it
-        is ``empty``, there is something to do without strokes and maps. In a ``window``, strokes may follow, so that a
-        freeze may be the last one. With ``points``, --convention may be about points that the command has beside
-        strokes; if they go ``back``, so may an --inverse before all maps.
+        ``reference`` is the image whose grid the output has; ``frames`` parses frames of a clip. ``empty`` allows that
+        there are no strokes and maps. ``window`` allows a freeze at the end, as the window may add strokes. ``points``
+        allows --convention for points of the command that are not strokes; ``back`` allows an --inverse before all
+        maps, for points that are mapped back.
         """
         from supple.strokes import Recipe, Stroke, last_freeze
 
@@ -370,7 +369,7 @@ class StrokeOptions:
                 if strokes:
                     strokes.append(Stroke.freeze(mask, ndim=strokes[0].ndim))
                     last = value
-                else:  # before all of them
+                else:  # before all strokes
                     made = replace(made, freeze=None if value == "none" else mask)
             elif option != "--recipe":
                 placed.add(option, value, len(strokes), back=back)
@@ -402,7 +401,7 @@ class StrokeOptions:
         made = read_recipe(self.recipe, frames=None if frames is None else frames.read, resolve=places.resolve)
         if places.used and places.medium is not None and made.size is not None:
             grid = places.medium.grid
-            if grid is None or made.size != grid.sizes:  # by which all would be scaled
+            if grid is None or made.size != grid.sizes:  # all strokes would be scaled
                 raise SuppleError(
                     f"{self.recipe} was made for another size than {places.medium.name}, for which landmarks and "
                     "percentages beside it are: leave it out, or them"
@@ -412,7 +411,7 @@ class StrokeOptions:
         return made
 
     def _check(self, found: "Sequence[_Given]", made: "Recipe", reading: "VolumeOptions", convention: bool) -> None:
-        """Refuse strokes in voxels beside others in millimetres, and what is said of what is not given."""
+        """Raise SuppleError for strokes in voxels beside others in millimetres, and for options without effect."""
         if self.freeze_width is not None and not (self.freeze or self.matte):
             raise SuppleError("--freeze-width is for a freeze mask, and there is none: give --freeze, or leave it out")
         if convention and not self.pull:
@@ -454,7 +453,7 @@ class StrokeOptions:
             return None if path == "none" else read_matte(path, width=self.freeze_width)
 
         def radius(option: str, text: str) -> float:
-            if text.strip().startswith("-"):  # of a percentage, which the message would give in pixels
+            if text.strip().startswith("-"):  # checked here, as the message for a percentage would be in pixels
                 raise SuppleError(f"{option} must be {_LENGTH}, found {text!r}")
             return places.length(option, text, _LENGTH)
 
@@ -494,7 +493,7 @@ class StrokeOptions:
         return made
 
     def _mirrored(self, told: str, stroke: "Stroke", x: float, y: float, a: float, b: float) -> "tuple[Stroke, ...]":
-        """Return a stroke with its mirror image, of the line from (x, y) to (a, b)."""
+        """Return a stroke and its mirror image across the line from (x, y) to (a, b)."""
         more = (0.0,) * (stroke.ndim - 2)
         with _prefixed(told):
             both = stroke.symmetric((x, y, *more), (b - y, x - a, *more))
@@ -508,7 +507,7 @@ class StrokeOptions:
 
 @dataclass(frozen=True)
 class _Given:
-    """The strokes that an option or a recipe makes, and their space if they say by themselves that it is in mm."""
+    """The strokes of an option or a recipe, and their space if their file states that they are in millimetres."""
 
     told: str
     strokes: "tuple[Stroke, ...]"
@@ -519,7 +518,7 @@ class _Given:
         return self.strokes[0].ndim
 
     def in_space(self, space: "CoordinateSpace | None") -> "tuple[Stroke, ...]":
-        """Return the strokes in LPS or RAS."""
+        """Return the strokes, converted to LPS or RAS as ``space`` if they are in the other one."""
         if self.space in (None, space):
             return self.strokes
 
@@ -532,7 +531,7 @@ class _Given:
 def _pull(
     text: str, places: "Places", how: dict[str, Any], brush: dict[str, Any]
 ) -> "tuple[Stroke, CoordinateSpace | None]":
-    """Read a pull from two files, named with a colon between them."""
+    """Return the pull for two files, whose names are separated by a colon, and its space if it is in millimetres."""
     from supple.files.landmarks import read_pull
 
     ends = [i for i, c in enumerate(text) if c == ":"]
@@ -548,7 +547,7 @@ def _pull(
 
 
 def _stroke(option: str, text: str, frames: Frames | None, places: "Places", brush: dict[str, Any]) -> "Stroke":
-    """Read a stroke from the command line."""
+    """Return the stroke for an option and its text."""
     from supple.strokes import Stroke
 
     wrong = SuppleError(f"{option} must be {_WANTED[option]}, found {text!r}")
@@ -586,7 +585,7 @@ def _stroke(option: str, text: str, frames: Frames | None, places: "Places", bru
 
 @contextlib.contextmanager
 def _prefixed(told: str) -> Iterator[None]:
-    """Begin errors with the option that they are about."""
+    """Prefix the messages of SuppleErrors with the option that they are about."""
     try:
         yield
     except SuppleError as error:
@@ -594,7 +593,7 @@ def _prefixed(told: str) -> Iterator[None]:
 
 
 def _line(text: str, places: "Places") -> tuple[float, float, float, float]:
-    """Read two points of a line, or the column of an upright one."""
+    """Parse two points of a line, or the x of a vertical line."""
     wanted = "X, a column of pixels, or X,Y:X,Y, two points of a line (256 or 250,0:262,511, say)"
     plain = places.plain("--mirror", text)
     plain = plain if "," in plain else f"{plain},0:{plain},1"
@@ -608,7 +607,7 @@ def _line(text: str, places: "Places") -> tuple[float, float, float, float]:
 
 
 def _border(text: str) -> "Border":
-    """Read the border's width from the command line."""
+    """Parse the width of the border."""
     word = text.strip().lower()
     if word in ("auto", "none"):
         return "auto" if word == "auto" else None
@@ -617,7 +616,7 @@ def _border(text: str) -> "Border":
 
 
 def _freeze(text: str, width: float | None) -> "Freeze":
-    """Read the freeze mask that the command line names."""
+    """Read the freeze mask named on the command line, ``FILE`` or ``FILE:LABEL``."""
     from supple.files.freezing import read_freeze
 
     name, _, last = text.rpartition(":")
@@ -647,7 +646,7 @@ def _spread(
     usual: Value,
     what: str = "stroke",
 ) -> list[Value]:
-    """Return the values of an option for each of the strokes, of which it is given once or for each."""
+    """Return the value of an option for each stroke; it may be given never (``usual``), once, or once for each."""
     if given and not count:
         raise SuppleError(f"{name} is for a --{what}, and there is none: leave it out")
     if len(given) not in (0, 1, count):

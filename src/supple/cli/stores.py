@@ -1,4 +1,4 @@
-"""Commands on Zarr stores: how one is bent, where, and what a warp in blocks would read and write."""
+"""Warping Zarr stores from the command line, and the command that plans it."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 def warp_stored(
     console: Console, paths: Sequence[str], job: Job, maps: Maps, running: Running, *, json: bool
 ) -> WarpedStore:
-    """Warp one store to another, as `supple warp` was asked to."""
+    """Warp a store to another one, for `supple warp`."""
     from supple.engine.progress import counted
     from supple.files.plans import open_source
     from supple.files.stores import warp
@@ -73,14 +73,14 @@ def warp_stored(
 
 
 def refer(console: Console, job: Job, maps: Maps) -> Job:
-    """Return a job on a store, with the maps of the command, on its grid; tell of them."""
+    """Return a job on a store with the maps of the command, read for its grid; print each."""
     from supple.files.plans import open_source
 
     return maps.placed(console, job, lambda job: open_source(job).grid)
 
 
 def _pair(paths: Sequence[str]) -> tuple[str, str]:
-    """Return the input and the output; SuppleError for more of them, or an output that is no store."""
+    """Return the input and the output; SuppleError for more than one input, or an output that is not a store."""
     from supple.files.recipes import is_media_name
     from supple.media.files import is_store
 

@@ -49,7 +49,7 @@ def _range(option: str, text: str) -> tuple[float, ...]:
 
 
 def _box(option: str, text: str) -> Clip:
-    """A box; None where an end is left out."""
+    """Parse a box; omitted ends are None."""
     wanted = "X0:X1,Y0:Y1,Z0:Z1 in voxels, with ends left out where nothing is cut away"
     ranges = [part.split(":") for part in text.split(",")]
     if len(ranges) != 3 or any(len(ends) != 2 for ends in ranges):
@@ -66,7 +66,7 @@ def _plane(option: str, text: str) -> Plane:
 
 
 def _size(option: str, text: str) -> tuple[int, int]:
-    """Rows and columns."""
+    """Parse width and height; return rows and columns."""
     width, _, height = text.lower().replace("×", "x").partition("x")
     if not (width.isdecimal() and height.isdecimal() and len(text) < 20):
         raise SuppleError(f"{option} must be a width and a height in pixels, such as 512x512, found {text!r}")
@@ -209,7 +209,7 @@ class LookOptions:
     device: Literal["auto", "cpu", "gpu"] = "cpu"
 
     def to_render(self, camera: Camera, convention: str | None = None) -> RenderOptions:
-        """Return the options as the library takes them."""
+        """Return the options as a `RenderOptions`."""
         from supple.files.renders import RenderOptions
 
         given = dict(vars(self))
@@ -369,7 +369,7 @@ def points(
 def _deformation(
     on: str, edits: Edits, reading: Reading, video: VideoOptions, fit: Fit | None, points: str
 ) -> tuple[Deformation, Geometry | None]:
-    """Strokes and maps on a volume, a picture or a clip; and where a volume's voxels lie."""
+    """Return the deformation of a volume, a picture or a clip by strokes and maps, and a volume's geometry or None."""
     from supple.deformation import Deformation
     from supple.errors import argument
     from supple.files.clips import deformation_of as on_clip

@@ -193,7 +193,7 @@ def warp(
     into = os.path.isdir(paths[-1]) or paths[-1].endswith(("/", os.sep))
     if single:
         medium = replace(template, source=paths[0], target=paths[1]).medium
-        # slices of DICOM go into a folder as one volume; others, as pictures do
+        # DICOM slices are written to a folder as one volume; a folder of other volumes is a batch, as for pictures
         single = medium.kind == "clip" or (medium.kind == "volume" and (not into or medium.is_dicom))
     if single:
         pairs, many = [(Path(paths[0]), Path(paths[1]))], False
@@ -219,7 +219,7 @@ def warp(
                 if edits.relative and not alone:
                     job = replace(job, recipe=edits_of(source, target=target).recipe)
                 if elements:
-                    job.check()  # what is refused is not told of before
+                    job.check()  # before any output, in case the job is refused
                     job = elements.placed(console, job)
                 used = {"maps": elements.facts(job.medium.grid)} if elements and options.json else {}
                 made = job.warp(tell)
@@ -251,9 +251,9 @@ def warp(
             except SuppleError:
                 pass  # it is reported as one of the jobs
             else:
-                elements.read(first)  # a file of maps that cannot be read ends all jobs
+                elements.read(first)  # an unreadable file of maps must fail before all jobs
         make_folders(pairs)
-        # Clips and volumes one at a time: each has work for all cores.
+        # Clips and volumes are processed one at a time, as each uses all cores.
         crew = threads() if kinds == {"picture"} else 1
         failures = Crew(max(min(len(pairs), several.jobs or crew), 1)).work(pairs, do, console, failed)
         if len(pairs) > 1 or left or there:
@@ -272,7 +272,7 @@ def warp(
 
 
 def _kept(recipe: "Recipe", made: "Warped | WarpedStore", world: bool) -> "Recipe":
-    """Return a recipe as it is saved: with the size that it is for, and what its points are."""
+    """Return a recipe for saving, with the size that it is for and the space of its points."""
     own = getattr(made, "own", None) or made.deformation.grid
     size, space = recipe.size or own.sizes, recipe.space or "pixels"
     if world and made.geometry is not None:
@@ -284,7 +284,7 @@ def _kept(recipe: "Recipe", made: "Warped | WarpedStore", world: bool) -> "Recip
 
 
 def _shared(recipe: "Recipe", kept: "Collection[Recipe]") -> "Recipe":
-    """Return what is saved of one recipe on several files: what holds for all of them."""
+    """Return the recipe to save after several files: with size and space if they hold for all files."""
     for known in (kept, {replace(one, size=recipe.size) for one in kept}):
         if len(known) == 1:
             return next(iter(known))
@@ -292,7 +292,7 @@ def _shared(recipe: "Recipe", kept: "Collection[Recipe]") -> "Recipe":
 
 
 def _as_clip(paths: tuple[str, ...], recipe: "Recipe") -> tuple[str, ...]:
-    """Return ``f.*.exr`` as the pattern of a clip, if it is to become one; refuse pictures for strokes with a time."""
+    """Return paths with ``f.*.exr`` as a clip's pattern, if needed; SuppleError for pictures with strokes in time."""
     from supple.media.numbering import has_number, of_star
     from supple.media.pictures import SUFFIXES
     from supple.media.suffixes import ANIMATED, CLIPS_OUT
@@ -317,14 +317,14 @@ def _as_clip(paths: tuple[str, ...], recipe: "Recipe") -> tuple[str, ...]:
 
 
 def _stands_for_several(source: str) -> bool:
-    """Return whether several videos go into a folder; of one alone, a folder takes the pictures."""
+    """Return whether a source is a pattern of several files, whose outputs go into a folder."""
     from supple.media.numbering import has_number
 
     return glob.has_magic(source) and not has_number(source) and not os.path.exists(source)
 
 
 def _check_apart(save_recipe: str | None, paths: Iterable[str | Path | None]) -> None:
-    """Refuse a recipe that would replace one of the files that are bent or written."""
+    """Raise SuppleError if the saved recipe would replace an input or an output."""
     from supple.media.files import same_file
 
     if save_recipe is None:
@@ -335,7 +335,7 @@ def _check_apart(save_recipe: str | None, paths: Iterable[str | Path | None]) ->
 
 
 def _facts_of(pair: Pair, made: "Warped") -> dict[str, Any]:
-    """Return what is told of a file that was warped."""
+    """Return the facts on a warped file, ready for JSON."""
     grid = made.grid or made.own or made.deformation.grid
     sizes = dict(zip(("width", "height", "depth"), grid.sizes[: 3 if made.kind == "volume" else 2], strict=False))
     if made.kind == "picture":
@@ -355,7 +355,7 @@ def _facts_of(pair: Pair, made: "Warped") -> dict[str, Any]:
 
 
 def picture_facts(job: Pair, deformation: "Deformation", report: "Report") -> dict[str, Any]:
-    """Return what is told of a picture that was warped or drawn."""
+    """Return the facts on a warped or plotted picture, ready for JSON."""
     from dataclasses import asdict
 
     height, width = deformation.shape

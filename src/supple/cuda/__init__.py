@@ -1,4 +1,4 @@
-"""Warps and points of arrays on an NVIDIA GPU: the core's calls, by kernels of its headers; asynchronous warps."""
+"""Warps and points of arrays on an NVIDIA GPU, by kernels made from the core's headers; and asynchronous warps."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ class Warping:
         return self.array
 
     def _known(self) -> Certificate:
-        """Wait for the warp; return how accurate it is."""
+        """Wait for the warp; return its certificate."""
         with self._source.gpu.current():
             self._event.synchronize()
             release_passed()
@@ -71,7 +71,7 @@ class Warping:
 
     @property
     def error(self) -> float:
-        """Return a bound on the error of source points by the checks, in pixels; it waits."""
+        """A bound on the error of source points from the checks, in pixels; reading it waits for the warp."""
         self.wait()
         assert self._certificate is not None
         return self._certificate.error
@@ -97,7 +97,7 @@ def start(
     source : array on a GPU
         As in `supple.Deformation.warp`; or a batch (N, …).
     deformations : Deformation or sequence of Deformation
-        One; or a sequence for a batch, of one for all, or of N.
+            One deformation; or, for a batch, a sequence of one for all items or of one for each.
     sampling : Sampling, optional
         How the arrays are sampled; further keywords replace its fields: ``filter="linear"``.
     alpha
@@ -113,8 +113,8 @@ def start(
     Returns
     -------
     Warping
-        The warp, to wait for or to poll. Neither the source nor the result may be used before it is done, unless their
-        stream waits for it (`Warping.join`).
+            The warp, to wait for or to poll. Until it is done, use neither the source nor the result, unless the stream
+            that does waits for it (`Warping.join`).
     """
     spaces = spaces_of(deformations)
     sampling = Sampling.of(sampling, options, spaces[0].ndim)
@@ -127,7 +127,7 @@ def start(
 def _prepared(
     source: Any, spaces: tuple[Space, ...], sampling: Sampling, alpha: bool | None, out: Any, *, batch: bool
 ) -> tuple[Work, DeviceArray, DeviceArray]:
-    """Return the work on an array of a GPU, or on a batch (N, ...), the array, and that of the result."""
+    """Return the job for an array on a GPU, or for a batch (N, ...), the array, and the array of the result."""
     held = taken(source, "source")
     if batch:
         check_count(spaces, held.shape[0] if held.ndim else 0)
@@ -145,12 +145,12 @@ def _prepared(
 def _started(
     work: Work, source: DeviceArray, out: DeviceArray, *, slab: int | None = None, stream: Any = None
 ) -> Warping:
-    """Start a warp on a stream, by default one of its own; it begins after earlier work of the arrays' streams."""
+    """Start a warp on a stream, by default a new one; it begins after earlier work on the arrays' streams."""
     if source.size == 0:
         refuse("source", "a batch of one item or more", told=f"shape {source.shape}")
     space, layout, sampling, batch = work.space, work.layout, work.sampling, work.items is not None
     coloured = source.ndim > len(space.whole) + batch
-    # Images are the planes of one launch; of stacks, each is painted by itself.
+    # Images are planes of one launch; stacks of a batch are painted one by one.
     if space.ndim == 2:
         parts = [(work, source.shape[0] if batch else space.count)]
     else:
@@ -174,7 +174,7 @@ def _started(
 def sample(
     source: Any, spaces: tuple[Space, ...], sampling: Sampling, alpha: bool | None, out: Any, *, batch: bool = False
 ) -> tuple[Any, Certificate]:
-    """Return an array of a GPU, or a batch, warped on the current stream of its library; with the certificate."""
+    """Return the warped array or batch, computed on the current stream of its library, and the certificate."""
     work, held, result = _prepared(source, spaces, sampling, alpha, out, batch=batch)
     if held.size == 0:  # an empty batch
         return result.given, Certificate(0.0, 0.0)

@@ -1,4 +1,4 @@
-"""Arrays on a GPU, of any library: in the form of the kernels, and results in the library of the source."""
+"""Arrays on a GPU, of any library: their description for kernels, and new arrays of the source's library."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from supple.space.checks import refuse
 
 
 class CudaArray:
-    """A result on a GPU for libraries that Supple does not know, with the interfaces that all of them take."""
+    """A result on a GPU for unknown libraries, with the interfaces that these exchange arrays by."""
 
     def __init__(self, shape: tuple[int, ...], dtype: np.dtype[Any], gpu: CudaDevice, stream: Stream) -> None:
         self.shape, self.dtype, self._gpu = shape, dtype, gpu
@@ -44,7 +44,7 @@ class CudaArray:
         from cuda.core import Buffer
         from cuda.core.utils import StridedMemoryView
 
-        self._memory.stream.synchronize()  # whatever stream they ask for
+        self._memory.stream.synchronize()  # for a consumer on any stream
         held = Buffer.from_handle(self._memory.pointer, self._memory.size, owner=self)
         options.pop("stream", None)
         return StridedMemoryView.from_buffer(held, self.shape, dtype=self.dtype).__dlpack__(**options)
@@ -52,9 +52,9 @@ class CudaArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DeviceArray:
-    """An array on a GPU, as ``given`` by a library: "torch", "cupy", "numba" or "other", that of new arrays.
+    """An array on a GPU, as ``given``; ``kind`` is its library: "torch", "cupy", "numba" or "other".
 
-    Strides are in samples, ``pointer`` is the address of the first sample, and ``stream`` the current one of the
+    Strides are in samples, ``pointer`` is the address of the first sample, and ``stream`` the current stream of the
     library.
     """
 
@@ -79,7 +79,7 @@ class DeviceArray:
         return math.prod(self.shape)
 
     def samples(self, item: int, coloured: bool) -> tuple[int, ...]:
-        """Return the address and the steps of planes, rows, columns and channels: of a stack of a batch, or of all."""
+        """Return the address and the steps of planes, rows, columns and channels, for an item of a batch or for all."""
         strides = self.strides if coloured else (*self.strides, 0)
         each, *steps = (0,) * (5 - len(strides)) + strides
         return self.pointer + item * each * self.dtype.itemsize, *steps
@@ -99,7 +99,7 @@ class DeviceArray:
 
 
 def taken(value: Any, name: str) -> DeviceArray:
-    """Return an array on a GPU, of any library, as `DeviceArray`.
+    """Return the `DeviceArray` of an array on a GPU, of any library.
 
     Raises
     ------
@@ -111,7 +111,7 @@ def taken(value: Any, name: str) -> DeviceArray:
         refuse(name, "an array on a GPU", value, told=where if hasattr(value, "shape") else "")
     check_gradients(value, name)
     kind = library_of(value)
-    # A GPU is opened before any call that needs the driver: that of the array, if its library names it.
+    # The GPU of the array, if its library names it, is opened before any call that needs the driver.
     named = {"torch": "index", "cupy": "id"}
     gpu = open_device(int(getattr(value.device, named[kind]) or 0) if kind in named else 0)
     try:
@@ -130,14 +130,14 @@ def taken(value: Any, name: str) -> DeviceArray:
 
 
 def _viewed(value: Any, kind: str, gpu: CudaDevice) -> Any:
-    """Return the description of an array; CudaArray and tests have one of their own."""
-    if kind == "torch":  # which says itself what is wanted, in a tenth of the time
+    """Return the shape, strides, type, address and device of an array, as attributes."""
+    if kind == "torch":  # PyTorch's own attributes take a tenth of the time
         dtype = np.dtype(str(value.dtype).removeprefix("torch."))
         return SimpleNamespace(shape=value.shape, strides=value.stride(), dtype=dtype, ptr=value.data_ptr(),
                                device_id=value.device.index, readonly=False)  # fmt: skip
     from cuda.core.utils import StridedMemoryView
 
-    # Known libraries work in the order of their stream; others wait until what makes the array is done.
+    # Known libraries work in stream order; for others, wait until the array is complete.
     with gpu.current():  # some libraries export only arrays on the current device
         view = StridedMemoryView.from_any_interface(value, stream_ptr=1 if kind == "other" else -1)
     if not view.is_device_accessible:
@@ -146,7 +146,7 @@ def _viewed(value: Any, kind: str, gpu: CudaDevice) -> Any:
 
 
 def plain(value: Any) -> Any:
-    """Return an array of the same library on the same GPU, of any type."""
+    """Return some array of the same library on the same GPU, to make others like it."""
     return sys.modules["torch"].empty(1, device=value.device) if library_of(value) == "torch" else value
 
 
@@ -191,7 +191,7 @@ def made_like(
         if source.kind == "other":
             made = CudaArray(shape, kind, source.gpu, source.stream)
         elif source.kind == "numba":
-            # Bound to a stream only if the source is: arrays bound to the default stream cannot be exported.
+            # With a stream only if the source has one: Numba cannot export arrays bound to the default stream.
             made = library.device_array(shape, kind, stream=getattr(given, "stream", 0) or 0)
         elif source.kind == "cupy":
             made = library.empty_like(given, order="K") if as_it_lies else library.empty(shape, kind)
@@ -203,7 +203,7 @@ def made_like(
 
 
 def checked_out(out: Any, source: DeviceArray, shape: tuple[int, ...]) -> DeviceArray:
-    """Return a user's array for a result; SuppleError if it does not fit the source, or a shape."""
+    """Return ``out`` as a `DeviceArray`; SuppleError if it does not fit the source, or the result's shape."""
     whose = "source" if shape == source.shape else "grid"
     wanted = f"an array on the source's GPU, of {source.dtype} and shape {shape}, as the {whose} is"
     if not is_on_device(out):

@@ -25,16 +25,16 @@ Array = npt.NDArray[Any]
 
 
 class CudaError(RuntimeError):
-    """A call of the driver, or of its compiler, that failed."""
+    """A failed call of the driver or its compiler."""
 
 
 FAILURES = CudaError, MemoryError, OSError
-"""The error of a GPU that fails or is full, or has no compiled kernel."""
+"""The error of a GPU that fails, is out of memory, or has no compiled kernel."""
 
 
 @functools.cache
 def driver() -> Any:
-    """Return the bindings of NVIDIA's driver; tests put a simulated driver in their place."""
+    """Return the bindings of NVIDIA's driver; tests replace it by a simulated driver."""
     try:
         return importlib.import_module("cuda.bindings.driver")
     except ImportError:
@@ -57,9 +57,9 @@ def call(name: str, *arguments: Any) -> Any:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CudaDevice:
-    """A GPU that is ready, by its number in CUDA; ``arch`` is its compute capability (90 for 9.0).
+    """An opened GPU, by its number in CUDA; ``arch`` is its compute capability (90 for 9.0).
 
-    ``context`` is the driver's primary context, which other libraries use, too.
+    ``context`` is the driver's primary context, which other libraries share.
     """
 
     number: int
@@ -86,7 +86,7 @@ class CudaDevice:
 
     @property
     def free(self) -> int:
-        """Return the free bytes of memory, after emptying the pool."""
+        """The free bytes of memory after emptying the pool."""
         with self.current():
             call("cuMemPoolTrimTo", call("cuDeviceGetDefaultMemPool", call("cuDeviceGet", self.number)), 0)
             return int(call("cuMemGetInfo")[0])
@@ -94,7 +94,7 @@ class CudaDevice:
 
 @dataclass(frozen=True, slots=True, weakref_slot=True)
 class Stream:
-    """A stream of a device: work in order. 0 is the default stream of the device."""
+    """A stream of a device, whose work is done in order. 0 is the default stream of the device."""
 
     handle: int
 
@@ -129,12 +129,12 @@ class Event:
         return int(status) == 0
 
     def synchronize(self) -> None:
-        """Wait for it."""
+        """Wait for the work before it."""
         call("cuEventSynchronize", self.handle)
 
 
 class Memory:
-    """Memory of a device, which belongs to a stream: it is freed after the work that is on the stream by then."""
+    """Memory of a device that belongs to a stream: freed after the work that is on the stream at that time."""
 
     def __init__(self, size: int, stream: Stream) -> None:
         self.size, self.stream = size, stream
@@ -142,12 +142,12 @@ class Memory:
         weakref.finalize(self, _ended, "cuMemFreeAsync", self.pointer, stream.handle, held=stream)
 
     def upload(self, array: Array, start: int = 0) -> None:
-        """Copy a contiguous host array to it, from a byte on, when the stream gets here; until then it must stay."""
+        """Copy a contiguous host array to byte ``start``, asynchronously: it must live until the stream is there."""
         if array.nbytes:
             call("cuMemcpyHtoDAsync", self.pointer + start, array.ctypes.data, array.nbytes, self.stream.handle)
 
     def download(self, array: Array, start: int = 0) -> None:
-        """Copy from it to a contiguous host array; the array is complete when the stream gets there."""
+        """Copy from byte ``start`` to a contiguous host array, asynchronously, when the stream gets there."""
         if array.nbytes:
             call("cuMemcpyDtoHAsync", array.ctypes.data, self.pointer + start, array.nbytes, self.stream.handle)
 
@@ -157,7 +157,7 @@ class Memory:
 
 
 class Pinned:
-    """Host memory of some bytes that a device copies from and to by itself: ``bytes`` is the array."""
+    """Page-locked host memory, to which devices copy asynchronously: ``bytes`` is the array."""
 
     def __init__(self, size: int) -> None:
         import ctypes
@@ -169,18 +169,18 @@ class Pinned:
 
 
 def _ended(name: str, *arguments: Any, held: object = None) -> None:
-    """Destroy something of the driver, before what is held; when Python ends, the driver may be gone before."""
+    """Destroy an object of the driver, before ``held`` is released; ignore errors: the driver may be gone at exit."""
     with contextlib.suppress(Exception):
         call(name, *arguments)
 
 
 _kept: list[tuple[Event, tuple[object, ...]]] = []
-"""Objects that must not be freed, or reused, before an event."""
+"""Objects that must not be freed or reused before an event."""
 _lock = threading.Lock()
 
 
 def keep(stream: Stream, *held: object) -> Event:
-    """Keep objects alive until a stream gets here; return this place."""
+    """Keep objects alive until a stream has done its work so far; return the event of that."""
     release_passed()
     event = stream.record()
     with _lock:
@@ -194,7 +194,7 @@ def release_passed() -> None:
     def over(event: Event) -> bool:
         try:
             return event.done()
-        except CudaError:  # reported to whoever waits for it
+        except CudaError:  # reported to the waiting caller
             return True
 
     with _lock:
@@ -205,7 +205,7 @@ _opened: dict[int, CudaDevice] = {}
 
 
 def open_device(number: int = 0) -> CudaDevice:
-    """Return the GPU of a number, ready for work.
+    """Return the GPU with a number, opened.
 
     Raises
     ------
@@ -228,7 +228,7 @@ def _ready(number: int) -> CudaDevice:
                 f"NVIDIA's driver does not work ({_short(error)}); {argument('device', 'cpu')} needs none"
             ) from None
         count = 0
-    except Exception:  # the bindings raise errors of their own where there is no library
+    except Exception:  # without CUDA's library, the bindings raise their own errors
         raise SuppleError(
             f"CUDA needs NVIDIA's driver, which is not installed; {argument('device', 'cpu')} needs none"
         ) from None
@@ -258,7 +258,7 @@ def _ready(number: int) -> CudaDevice:
             )
         context = call("cuDevicePrimaryCtxRetain", device)
         made = CudaDevice(number, name, 10 * major + minor, context)
-        # Otherwise memory goes back to the system whenever the GPU is waited for; to fetch it again takes milliseconds.
+        # Otherwise, every synchronization returns free memory to the system, and allocating again takes milliseconds.
         pool = call("cuDeviceGetDefaultMemPool", device)
         kept = driver().CUmemPool_attribute.CU_MEMPOOL_ATTR_RELEASE_THRESHOLD
         if int(call("cuMemPoolGetAttribute", pool, kept)) < POOL:
@@ -276,13 +276,13 @@ def _short(error: object) -> str:
 
 
 def bindings() -> str:
-    """Return the version of the bindings that are installed, which begins with that of CUDA; or nothing."""
+    """Return the version of the installed bindings, which begins with CUDA's; "" if there are none."""
     with contextlib.suppress(PackageNotFoundError):
         return version("cuda-bindings")
     return ""
 
 
 def toolkit() -> int:
-    """Return the major version of CUDA that is installed; 0 if unknown."""
+    """Return the installed major version of CUDA; 0 if it is unknown."""
     major = bindings().split(".")[0]
     return int(major) if major.isdigit() else 0

@@ -1,7 +1,7 @@
 """Host arrays, warped on a GPU in slabs: they need not fit its memory.
 
-A slab is a range of planes of the result, and needs a range of frames, which the core bounds. Two slabs are under way:
-while the kernels of one run, the frames of the other are sent, and the result of the one before is copied back.
+A slab is a range of planes of the result; the core bounds the range of frames that it needs. Two slabs are processed
+at a time: while the kernels of one run, the frames of the other are sent, and the result of the one before is copied.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from supple.errors import SuppleError, argument
 
 Range = tuple[int, int]
 
-SLAB = 64 << 20  # bytes of a slab's planes, about
+SLAB = 64 << 20  # bytes of the planes of a slab, approximately
 ROOM = 0.4  # the fraction of free memory that each of two slabs may take
 
 _working = threading.RLock()  # one thread at a time measures and takes free memory
@@ -37,12 +37,12 @@ def sample(
     *,
     room: int | None = None,
 ) -> Certificate:
-    """Warp an image, or a stack of frames, in host memory or mapped to it, on the first GPU; return the certificate.
+    """Warp an image, or a stack of frames, in host memory or memory-mapped, on the first GPU; return the certificate.
 
-    ``source`` (frames, H, W, C) and ``target`` (planes, h, w, C) are of bool, integers or floats of 16 to 64 bits, in
-    any byte order, with any strides, and do not overlap. ``tell`` is called with ``"warp"``, the number of finished
-    planes, and their total. ``room`` is the bytes of GPU memory for each of two slabs; by default, most of the free
-    memory. SuppleError if the GPU cannot be used or fails, or a plane, and the frames that it needs, exceed its memory.
+    ``source`` (frames, H, W, C) and ``target`` (planes, h, w, C) are of bool, integers or floats of 16 to 64 bits, with
+    any byte order and strides, and do not overlap. ``tell`` is called with ``"warp"``, the number of finished planes,
+    and their total. ``room`` is the number of bytes of GPU memory for each of two slabs; by default, most of the free
+    memory. SuppleError if the GPU cannot be used, fails, or has too little memory for a plane and its frames.
     """
     gpu, certificate = open_device(), Certificate(0.0, 0.0)
     with contextlib.closing(_in_slabs(gpu, work, source, target, room)) as slabs:
@@ -56,7 +56,7 @@ def sample(
                 without = f"{argument('device', 'cpu')} does without it"
                 raise SuppleError(f"{gpu.name} failed ({reason}): {without}") from error
             certificate |= known
-            tell("warp", done, len(target))  # whose errors are the caller's
+            tell("warp", done, len(target))  # outside of the handler: its errors are the caller's
     note(gpu.name)
     return certificate
 
@@ -64,7 +64,7 @@ def sample(
 def _in_slabs(
     gpu: CudaDevice, work: Work, source: Array, target: Array, room: int | None
 ) -> Generator[tuple[int, Certificate], None, None]:
-    """Yield the number of finished planes, and the certificate of the last ones, slab by slab."""
+    """Yield the number of finished planes, and the certificate of those since the last one, slab by slab."""
     under_way: list[tuple[int, Iterator[Certificate]]] = []
 
     def finish() -> tuple[int, Certificate]:
@@ -84,13 +84,13 @@ def _in_slabs(
             while under_way:
                 yield finish()
         finally:
-            for stream in streams:  # until then, kernels write to memory that is about to be freed
+            for stream in streams:  # kernels still write to memory that is about to be freed
                 with contextlib.suppress(*FAILURES):
                     stream.synchronize()
 
 
 def _slabs(gpu: CudaDevice, work: Work, source: Array, target: Array, room: int) -> Iterator[tuple[Range, Range]]:
-    """Yield the planes of each slab and the frames that it needs: together, no more than ``room`` bytes."""
+    """Yield the planes of each slab and the frames that it needs, together at most ``room`` bytes."""
     plane, frame, count = target[0].nbytes, source[0].nbytes, len(target)
     together, first, run = max(1, min(SLAB // plane, -(-count // 8))), 0, RUN[work.space.ndim]
     if together > run:
@@ -121,7 +121,7 @@ def _needed(work: Work, planes: Range) -> Range:
     low, high = part[4], part[5]
     if low >= high:  # nothing but the fill value, or copies
         low, high = planes
-    if space.grid is None:  # planes that no stroke reaches are copied
+    if space.grid is None:  # planes beyond all strokes are copies of their own frames
         low, high = min(low, planes[0]), max(high, planes[1])
     return max(low, 0), min(high, space.count)
 
@@ -129,14 +129,14 @@ def _needed(work: Work, planes: Range) -> Range:
 def _slab(
     gpu: CudaDevice, stream: Stream, work: Work, source: Array, target: Array, planes: Range, frames: Range
 ) -> Iterator[Certificate]:
-    """Send the frames of a slab, and launch its kernels; at the second step, copy its planes to their place."""
+    """Send the frames of a slab, and launch its kernels; in the second step, copy the planes to the target."""
     given, made, dtype = source[slice(*frames)], target[slice(*planes)], source.dtype.newbyteorder("=")
     sent, back, told = Memory(given.nbytes, stream), Memory(made.nbytes, stream), Told(stream)
-    for k, frame in enumerate(given):  # one by one, so that a copy in the right order stays small
+    for k, frame in enumerate(given):  # one by one: converted copies stay small
         straight = np.ascontiguousarray(frame, dtype)
         sent.upload(straight, k * frame.nbytes)
         if straight is not frame:
-            stream.synchronize()  # until then, it is read
+            stream.synchronize()  # the copy is being read
     to = (back.pointer, *dense(made.shape))
     _held = warp(gpu, work, dtype, told, (sent.pointer, *dense(given.shape)), to, planes, held_from=frames[0])
     told.send()

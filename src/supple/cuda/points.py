@@ -26,7 +26,7 @@ def _columns(points: Any, ndim: int) -> DeviceArray:
 
 
 def _moved(space: Space, given: DeviceArray, results: dict[str, DeviceArray], *, back: bool) -> Certificate:
-    """Map points, and write what is asked for; it waits only for what is known of a composite map."""
+    """Map points, and write the given results; for a composite map, wait for its counts."""
     count = given.size // space.ndim
     if not count:
         return Certificate(0.0, 0.0)
@@ -38,7 +38,7 @@ def _moved(space: Space, given: DeviceArray, results: dict[str, DeviceArray], *,
         job = record(SOME, map=lattice.memory.pointer, points=given.pointer, told=told.there.pointer, count=count,
                      tolerance=CONVERGED, wide=given.dtype == np.float64, back=back, **pointers)  # fmt: skip
         launch(kernel, job, stream, count)
-        # An unknown library may not keep an array alive until it is read.
+        # An unknown library may free an array before it is read, so wait.
         if space.composite is None and given.kind != "other":
             keep(stream, told, lattice, given)
             return Certificate(0.0, 0.0)
@@ -48,7 +48,7 @@ def _moved(space: Space, given: DeviceArray, results: dict[str, DeviceArray], *,
 
 
 def forward(space: Space, points: Any, *, matrices: bool = False) -> tuple[Any, Certificate]:
-    """Return T of points (..., D), or ∂T/∂p (..., D, D), in float64 and their library; see `core.forward`."""
+    """Return T of points (..., D), or ∂T/∂p (..., D, D), in float64, as arrays of their library; see `core.forward`."""
     given = _columns(points, space.ndim)
     results = {"to": made_like(given, given.shape, np.float64)}
     if matrices:
@@ -58,7 +58,7 @@ def forward(space: Space, points: Any, *, matrices: bool = False) -> tuple[Any, 
 
 
 def inverse(space: Space, points: Any) -> tuple[tuple[Any, Any, Any, Any], Certificate]:
-    """Return T⁻¹ of points (..., D), with the values of `supple.Inverse`, in their library; see `core.inverse`."""
+    """Return T⁻¹ of points (..., D), with the values of `supple.Inverse`, as arrays of their library."""
     given = _columns(points, space.ndim)
     results = {"to": made_like(given, given.shape, np.float64)}
     for name, dtype in (("residual", np.float64), ("steps", np.int64), ("done", np.bool_)):

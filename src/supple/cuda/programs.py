@@ -1,4 +1,4 @@
-"""Kernels, compiled by NVRTC from the core's headers, and kept on disk by their content and the GPU's architecture."""
+"""Kernels, compiled by NVRTC from the core's headers, and cached on disk by content and architecture."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ TOLD = np.dtype([("worst", "f4"), ("rough", "i4"), ("unsolved", "i4"), ("folded"
 
 
 def record(kind: np.dtype[Any], **values: Any) -> npt.NDArray[Any]:
-    """Return an array of one record; fields that are not given are 0."""
+    """Return an array of one record; other fields are 0."""
     made = np.zeros(1, kind)
     for name, value in values.items():
         made[name] = value
@@ -66,12 +66,12 @@ _compilers = ThreadPoolExecutor(len(UNITS), "supple-nvrtc")
 
 @dataclass(frozen=True, slots=True)
 class Program:
-    """A kernel, and what it is compiled for.
+    """A kernel, and what it is specialized for.
 
-    The ``unit`` is one of `UNITS`; ``composed`` says whether the map is a composite, and not of strokes alone (None: of
-    both kinds). For ``fill`` and ``rough`` alone: the types, in C++, of samples and of their sums, how many channels
-    are summed together (all, 1 or 3, or up to 4), options as in the job, whether the arrays are ``small``: of fewer
-    than 2³¹ samples, and how many channels of the source lie ``packed`` together, pixel by pixel, if they do.
+    The ``unit`` is one of `UNITS`; ``composed`` says whether the map is a composite, or of strokes alone (None:
+    either). For ``fill`` and ``rough`` alone: the C++ types of samples and of their sums; how many channels are summed
+    ``together`` (all, 1 or 3, or up to 4); options as in the job; whether the arrays are ``small``, of fewer than 2³¹
+    samples; and the number of channels of a ``packed`` source, whose pixels are contiguous, or 0.
     """
 
     unit: str
@@ -89,7 +89,7 @@ class Program:
 
     @property
     def macros(self) -> list[str]:
-        """The macros that choose it."""
+        """The macros that select it."""
         chosen: dict[str, object] = {"UNIT": UNITS.index(self.unit), "DIM": self.dimensions}
         chosen |= {"JOB_BYTES": JOB.itemsize, "SOME_BYTES": SOME.itemsize}
         if self.composed is not None:
@@ -103,7 +103,7 @@ class Program:
 
 @cache
 def sources() -> Mapping[str, str]:
-    """Return the texts that kernels are compiled from, by the names of their files: each after those it includes."""
+    """Return the source texts of kernels by file name, each after the files that it includes."""
     texts: dict[str, str] = {}
 
     def add(name: str) -> None:
@@ -112,7 +112,7 @@ def sources() -> Mapping[str, str]:
         for included in re.findall(r'^#include "(.*)"', text, re.MULTILINE):
             if included not in texts:
                 add(included)
-        # What is included is there already: NVRTC is given one text, and opens no file.
+        # Without includes: NVRTC gets one text of all files, in order, and opens none.
         texts[name] = re.sub(r'^#(include "|pragma once).*', "", text, flags=re.MULTILINE)
 
     add("kernels.cu")
@@ -120,7 +120,7 @@ def sources() -> Mapping[str, str]:
 
 
 def compiled(program: Program, arch: int, *more: str) -> tuple[bytes, str]:
-    """Compile a program for an architecture (90: sm_90), and return the machine code and what the compiler says.
+    """Compile a program for an architecture (90: sm_90); return the machine code and the compiler's messages.
 
     ``more`` are options of the assembler.
 
@@ -132,7 +132,7 @@ def compiled(program: Program, arch: int, *more: str) -> tuple[bytes, str]:
     said = io.StringIO()
     text = "\n".join(f'#line 1 "{name}"\n{text}' for name, text in sources().items())
     try:
-        with _lock:  # its modules are put together at the first import, which is not made for several threads
+        with _lock:  # the first import loads its modules, and is not thread-safe
             from cuda import core
 
         options = core.ProgramOptions(
@@ -146,7 +146,7 @@ def compiled(program: Program, arch: int, *more: str) -> tuple[bytes, str]:
 
 
 def folder() -> Path:
-    """Return the folder of compiled programs: SUPPLE_CACHE, or supple/cuda in the user's folder of caches."""
+    """Return the folder of compiled programs: SUPPLE_CACHE, or supple/cuda in the user's cache folder."""
     if given := os.environ.get("SUPPLE_CACHE"):
         return Path(given)
     if sys.platform == "win32":
@@ -159,7 +159,7 @@ def folder() -> Path:
 
 
 def kept(program: Program, arch: int) -> bytes:
-    """Return the machine code of a program: from disk, or compiled and kept there, if that can be written."""
+    """Return the machine code of a program: from the cache, or compiled, and cached if the folder can be written."""
     content = "\n".join([bindings(), str(arch), *program.macros, *sources().values()])
     path = folder() / f"{program.unit}-sm_{arch}-{hashlib.sha256(content.encode()).hexdigest()[:32]}.cubin"
     with contextlib.suppress(OSError):
@@ -174,7 +174,7 @@ def kept(program: Program, arch: int) -> bytes:
 
 
 def prepare(gpu: CudaDevice, program: Program) -> Future[Any]:
-    """Begin to load a kernel, beside others; what is compiled first takes seconds."""
+    """Start loading a kernel in a thread; a kernel that must be compiled takes seconds."""
     key = (gpu.number, program)
     with _lock:
         if key not in _loaded:
@@ -189,15 +189,15 @@ def _load(gpu: CudaDevice, program: Program) -> Any:
             return call("cuModuleGetFunction", call("cuModuleLoadData", code), program.unit.encode())
     except Exception:
         with _lock:
-            _loaded.pop((gpu.number, program), None)  # it may succeed the next time
+            _loaded.pop((gpu.number, program), None)  # a later call may succeed
         raise
 
 
 def launch(kernel: Future[Any], job: np.ndarray[Any, Any], stream: Stream, x: int, y: int = 1, z: int = 1) -> None:
     """Launch a kernel of `prepare` on a stream of the current device, with one argument: a record, which is copied.
 
-    ``x`` is the number of threads that there is work for, which go in blocks of `THREADS`; ``y`` and ``z``, of rows and
-    layers of blocks.
+    ``x`` is the number of threads with work, in blocks of `THREADS`; ``y`` and ``z`` are numbers of rows and layers of
+    blocks.
     """
     argument = np.array([job.ctypes.data], np.uintp)  # the driver takes an array of pointers to arguments
     blocks = max(1, -(-x // THREADS))

@@ -1,7 +1,7 @@
 """Warps on a GPU: the map of a deformation in its memory, and the kernels for planes.
 
 The lattice of each plane is solved, its cells are checked, the good ones are filled, and the pixels of the others are
-solved one by one. Planes are computed a few at a time, so that scratch memory stays small. The host does not wait.
+solved one by one. Scratch memory bounds the number of planes per launch. The host does not wait.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ Samples = tuple[int, ...]
 """The address of the first sample, and the steps to the next plane, row, column and channel, in samples."""
 
 SIZES = 8, 16, 32  # pixels from node to node
-MAP = 4  # no filter: source points are written as float32, x first, or their displacements
+MAP = 4  # in place of a filter: source points, or their displacements, are written as float32, x first
 SCRATCH = 96 << 20  # bytes of scratch memory, at most
-_BLOCKS = 2048  # that share the rough cells
+_BLOCKS = 2048  # blocks that share the rough cells
 _MOST = 65535  # planes of one launch
-_KEPT = 16  # maps on the GPUs
+_KEPT = 16  # maps that stay on the GPUs
 _NODE, _LEAF = {2: 48, 3: 80}, {2: 136, 3: 220}  # bytes of a NodeRecord and a LeafRecord, by dimensions: as in job.hpp
 RUN = {2: 1, 3: 8}  # planes whose nodes are solved by one thread: as in job.hpp
 _TYPES = {
@@ -47,7 +47,7 @@ class Lattice:
     """Maps of one shape on a GPU (one, or one for each plane), and the nodes at which they are solved.
 
     ``memory`` has the maps (`_core.flatten`); ``places``, the positions of nodes along x, and then along y, int32, in
-    pixels; ``nodes`` are their numbers along x and y.
+    pixels; ``nodes``, the numbers of these.
     """
 
     spaces: tuple[Space, ...]
@@ -62,17 +62,17 @@ _spare: list[Pinned] = []
 
 
 def size_of(space: Space, tolerance: float) -> int:
-    """Return how many pixels nodes are apart.
+    """Return the distance of nodes, in pixels.
 
-    A bicubic patch of the size h misses a stroke that moves pixels by its own radius r by about 0.15 h⁴/r³. What varies
-    over other lengths than radii (fields, masks) gets the smallest. Borders along other axes than the planes' do not
-    count: in a plane, their factors vary no faster than the map does.
+    A bicubic patch of size h misses a stroke that moves pixels by its own radius r by about 0.15 h⁴/r³. Maps that vary
+    over other lengths than radii (fields, masks) get the smallest size. Borders along other axes than the planes' are
+    ignored: within a plane, their factors vary no faster than the map.
     """
     if space.composite is not None or space.freeze is not None or not space.rows.size:
         return SIZES[0]
     table = space.table
     radius2, flat = table["radius2"][:, 0], table["flat"]
-    rims = np.where(flat > 0, np.cbrt(0.25 * radius2 * flat), np.inf)  # of plateaus, where a stroke varies faster
+    rims = np.where(flat > 0, np.cbrt(0.25 * radius2 * flat), np.inf)  # at rims of plateaus, strokes vary over these
     radius, reach = np.minimum(np.sqrt(radius2), rims).min(), table["reach"].min()
     widths = [length / space.axes[:2, 3].max() for length in (radius, reach / 3)]  # over which a stroke ends, in pixels
     widths += [sigma / spacing for sigma, spacing in space.axes[:2, 2:4] if sigma > 0]
@@ -82,7 +82,7 @@ def size_of(space: Space, tolerance: float) -> int:
 def positions(first: int, n: int, axis: npt.NDArray[np.float64], size: int) -> npt.NDArray[np.int32]:
     """Return the positions of nodes along an axis of ``n`` samples from the ``first`` on, at most ``size`` apart.
 
-    ``axis`` is the row of the packed domain: the border's factor has a kink at its end, and a node there keeps cells
+    ``axis`` is the row of the packed domain. The border's factor has a kink where it reaches 1; nodes there keep cells
     from crossing it.
     """
     if n == 1:  # a single sample gets a cell, too, which extends beyond the plane
@@ -100,8 +100,8 @@ def _is_small(samples: Samples, *sizes: int) -> bool:
 
 
 def lattice_of(gpu: CudaDevice, spaces: Sequence[Space], tolerance: float = 0.01) -> Lattice:
-    """Return the maps of deformations of one shape on a GPU, the current device; the last ones are kept there."""
-    # Their arrays are immutable, and kept alive with the lattice, so that their ids stay unique.
+    """Return the maps of deformations of one shape on a GPU, the current device; the most recent ones stay there."""
+    # The key has ids: the arrays are immutable, and the lattice keeps them alive, so that ids stay unique.
     parts = [(s.shape, id(s.rows), id(s.axes), id(s.composite), id(s.freeze), s.grid) for s in spaces]
     key = (gpu.number, tolerance, *parts)
     with _lock:
@@ -124,14 +124,14 @@ def _uploaded(gpu: CudaDevice, spaces: tuple[Space, ...], tolerance: float) -> L
     memory.upload(packed)
     one, axes = spaces[0], spaces[0].axes
     if any(not np.array_equal(axes, other.axes) for other in spaces[1:]):
-        axes = np.full_like(axes, -1.0)  # no nodes at the ends of several borders: their cells are rough
+        axes = np.full_like(axes, -1.0)  # different borders get no nodes at their ends: cells across them are rough
     size = min(size_of(space, tolerance) for space in spaces)
     first = (0, 0) if one.grid is None else one.grid.first[:2]
     xs, ys = (positions(first[k], n, axes[k], size) for k, n in enumerate(one.planes[:0:-1]))
     places = Memory(4 * (xs.size + ys.size), stream)
     at = np.concatenate([xs, ys])
     places.upload(at)
-    stream.synchronize()  # until then, the arrays are read; from here on, any stream may read the copies
+    stream.synchronize()  # the arrays have been read; any stream may now read the copies
     return Lattice(spaces, memory, places, (xs.size, ys.size))
 
 
@@ -141,13 +141,13 @@ class Told:
     def __init__(self, stream: Stream) -> None:
         self.there = Memory(TOLD.itemsize, stream)
         self.there.clear()
-        self.kept: list[Array] = []  # what is being copied to the GPU
+        self.kept: list[Array] = []  # arrays that are being copied to the GPU
         self._here: Pinned | None = None
         self._said: tuple[Any, ...] = ()
 
     def send(self) -> None:
         """Copy them to the host, asynchronously."""
-        try:  # host memory that GPUs write to takes long to make
+        try:  # page-locked memory is reused, as allocating it is slow
             self._here = _spare.pop()
         except IndexError:
             self._here = Pinned(TOLD.itemsize)
@@ -178,13 +178,12 @@ def paint(
     slab: int | None = None,
     **values: Any,
 ) -> Lattice:
-    """Launch the kernels for some planes (from, to) in the order of the stream of ``told``, slab by slab.
+    """Launch the kernels for planes from, to on the stream of ``told``, slab by slab.
 
-    There is one map, or one for each plane; images of one map share its nodes, slices have nodes of their own.
-    ``source`` and ``out`` begin with the first frame that is there, and with the first of the planes. ``together`` and
-    ``filter`` are those of `Program`, and ``values`` other fields of the job. At most ``slab`` planes are in one
-    launch; by default, as many as scratch memory has room for. What is returned must be kept until the kernels are
-    done.
+    There is one map, or one for each plane; images with one map share its nodes, and slices have nodes of their own.
+    ``source`` and ``out`` begin with the first frame in memory, and with the first of the planes. ``together`` and
+    ``filter`` are those of `Program`, and ``values`` other fields of the job. A launch has at most ``slab`` planes; by
+    default, as many as scratch memory has room for. The returned lattice must be kept alive until the kernels are done.
     """
     stream, lattice, space = told.there.stream, lattice_of(gpu, spaces, values["tolerance"]), spaces[0]
     kinds = {each.composite is not None for each in spaces}
@@ -243,12 +242,12 @@ def warp(
     slab: int | None = None,
     held_from: int = 0,
 ) -> Lattice:
-    """Launch the kernels of work on samples of a type, as `paint` does; the source is there from a frame on."""
+    """Launch the kernels for a job, as `paint` does; ``dtype`` is that of samples, ``held_from`` the first frame."""
     space, sampling, group = work.space, work.sampling, work.layout.groups[0]
     if sampling.filter == "labels":
         refuse("filter", '"auto", "cubic", "linear" or "nearest" on a CUDA device', sampling.filter)
     nearest = sampling.filter == "nearest"
-    timed = space.ndim == 3 and not nearest  # otherwise a pixel is of one frame, whatever is asked for
+    timed = space.ndim == 3 and not nearest  # a plane of nearest samples, or of an image, reads one frame
     pointer = 0
     if sampling.outside == "constant":
         fill = np.full(group.channels, sampling.fill)

@@ -1,1 +1,1 @@
-"""The core as plain functions (`core`), the values that they take, and frames that stream through them."""
+"""The core's functions (`core`), the values that they take, and the streaming of frames."""

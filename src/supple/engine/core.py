@@ -44,13 +44,13 @@ def _laid(space: Space, step: tuple[int, int]) -> tuple[int, tuple[int, int], Bo
     if space.grid is not None:
         (x, y, *z), (width, height, *_) = space.grid.first, space.grid.sizes
         return sum(z), (space.grid.whole[-2], space.grid.whole[-1]), (x, x + width, y, y + height)
-    if space.composite is None and space.axes[0, 2] < 0:  # beyond a fixed face, the displacement is constant
+    if space.composite is None and space.axes[0, 2] < 0:  # free border: include the last chroma samples whole
         height, width = -(-height // step[1]) * step[1], -(-width // step[0]) * step[0]
     return 0, (height, width), None
 
 
 def certificate_of(plan: _core.Plan, space: Space) -> Certificate:
-    """Return the certificate of a plan from the checks of its cells; what it counts is of fields alone."""
+    """Return the certificate of a plan from the checks of its cells; its counts are of fields alone."""
     counts = () if space.composite is None else (plan.unsolved, plan.folds, plan.outside)
     return Certificate(plan.error, plan.evaluations, *counts)
 
@@ -64,10 +64,10 @@ def measured(plan: _core.Plan, tolerance: float) -> Certificate:
 def needed(
     space: Space, sampling: Sampling, planes: Sequence[int] | None = None
 ) -> tuple[tuple[int, ...], list[float], Certificate]:
-    """Return the part of the source that the output reads, or some of its planes.
+    """Return the part of the source that the output, or some planes of it, reads.
 
-    Its bounds are x0, x1, y0, y1, and the first frame and that after the last. The list has how far each plane of the
-    output moves, in pixels; -1 where no stroke reaches it. The certificate is that of the map there.
+    Its bounds are (x0, x1, y0, y1, first frame, last frame + 1). The list has the largest displacement in each plane of
+    the output, in pixels; -1 where no stroke reaches it. The certificate is that of the map in these planes.
     """
     (count, rows, columns), (first, (height, width), box) = space.planes, _laid(space, (1, 1))
     part, moved, error, counts = _core.needed(
@@ -115,9 +115,9 @@ def samplings_of(
 ) -> list[_core.Sampling]:
     """Return the core's sampling jobs for some frames of a clip of ``count``.
 
-    ``frames`` and ``outs`` are arrays of each group: frame k is in slot k modulo the number of slots (slots, h, w,
-    channels), contiguous and in native byte order; the destination is (h, w, channels), or that of several planes. If
-    frames are a part of those of the layout, ``corner`` is the position x, y, and the frame, of their first sample.
+    ``frames`` and ``outs`` have one array for each group, contiguous and in native byte order. Frame k is in slot k
+    modulo the number of slots (slots, h, w, channels); the destination is (h, w, channels), or that of several planes.
+    If the arrays hold a part of the layout's frames, ``corner`` is the position (x, y, frame) of their first sample.
     ``moving`` is the motion that samples between frames follow.
     """
     sampling, rule = work.sampling, OUTSIDE[work.sampling.outside]
@@ -145,13 +145,13 @@ def sample(
     corner: tuple[int, int, int] | None = None,
     copied: Sequence[bool] | None = None,
 ) -> Certificate:
-    """Sample frames that are in memory, planes side by side, on all threads, and return the certificate of the map.
+    """Sample frames in memory, several planes at once on all threads, and return the certificate of the map.
 
-    ``frames`` and ``outs`` are, for each group, all frames, and the destination of all planes: arrays (count, h, w,
-    channels), as `view` returns them. With a ``corner``, frames are a part of those of the layout (`needed`), in any
-    order of bytes and axes: it is the position x, y, and the frame, of its first sample. Planes that are ``copied``
-    move by less than the tolerance as a whole. Of stacks, ``tell`` is called with ``"warp"``, the finished planes, and
-    their total.
+    ``frames`` and ``outs`` have, for each group, an array (count, h, w, channels) of all frames, and one of all planes,
+    as `view` returns them. With a ``corner``, the position (x, y, frame) of their first sample, the arrays hold a part
+    of the layout's frames (`needed`), in any byte order and with any strides. ``copied`` marks planes in which no
+    displacement exceeds the tolerance. For stacks, ``tell`` is called with ``"warp"``, the finished planes, and their
+    total.
     """
     space, tolerance, planes = work.space, work.sampling.tolerance, len(outs[0])
     if corner is not None:

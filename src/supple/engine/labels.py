@@ -1,8 +1,8 @@
-"""Labels, which do not mix: each sample has that of the largest share of its footprint.
+"""Sampling of labels: each sample gets the label with the largest share of its footprint.
 
-The share of a label is the sample of a picture that is 1 where it is, and 0 elsewhere. Shares are computed in tiles, of
-the labels alone that a tile reads, four at a time: the map is solved once for all of them. Of equal shares, the least
-label wins, so that no result depends on tiles.
+The share of a label is the sample of a picture that is 1 where the label is, and 0 elsewhere. Shares are computed in
+tiles, only for the labels that a tile reads, four at a time: the map is solved once for all of them. Of equal shares,
+the least label wins, so that no result depends on the tiles.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ def sample(
     *,
     corner: tuple[int, int, int] | None = None,
 ) -> Certificate:
-    """Sample labels, as `supple.engine.core.sample` samples all else; frames may be of any type and order."""
+    """Sample labels, as `supple.engine.core.sample` does other values; frames may be of any type and strides."""
     own, (planes, *size, channels) = work.sampling, outs[0].shape
     sampling = replace(own, filter="auto", between=own.between_frames, time_filter=own.averages_frames, fill=0.0)
     certificate, flat = Certificate(), work.space.ndim == 2

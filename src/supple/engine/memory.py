@@ -22,9 +22,9 @@ Full = Callable[[str, str, str], str]
 def buffers(
     shapes: Sequence[tuple[int, ...]], dtype: npt.DTypeLike, memory: float, full: Full, folder: str | None = None
 ) -> Iterator[list[Array]]:
-    """Open arrays of some shapes in memory or, beyond so many bytes, in a temporary file in a folder (the system's).
+    """Open arrays in memory or, beyond ``memory`` bytes, in a temporary file in a folder (by default, the system's).
 
-    ``full`` makes the message for a full disk from the size, the folder and the system's reason: a SuppleError.
+    ``full`` returns the error for a full disk, a SuppleError, from the size, the folder and the system's reason.
     """
     kind = np.dtype(dtype)
     sizes = [math.prod(shape) * kind.itemsize for shape in shapes]
@@ -48,7 +48,7 @@ def buffers(
 def beside(
     target: str | os.PathLike[str], shape: tuple[int, ...], dtype: npt.DTypeLike, memory: float
 ) -> Iterator[Array]:
-    """Open an array for data to be written to a file; a temporary file lies in the folder of that file.
+    """Open an array in memory or, beyond ``memory`` bytes, in a temporary file beside ``target``, for its data.
 
     Raises
     ------

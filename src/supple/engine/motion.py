@@ -1,8 +1,8 @@
 """The motion between two frames: the optical flow of pairs, and how far samples may follow it.
 
-For each pair of frames that is mixed, `motion_between` has, of the point that is seen at a place halfway, the
-displacement v from one frame to the next, and the weight of what follows it. The rest of it is the plain mixture. What
-decides, and with which numbers, was measured on clips of which every other frame was dropped (benchmarks/between.py).
+For each pair of frames that is mixed, and each place halfway in time, `motion_between` has the displacement v of the
+point there from one frame to the next, and the weight of the sample that follows it; the plain mixture has the rest of
+the weight. The criteria and their numbers were measured on clips without every other frame (benchmarks/between.py).
 """
 
 from __future__ import annotations
@@ -21,22 +21,22 @@ Grey = npt.NDArray[np.uint8]
 Floats = npt.NDArray[np.float32]
 
 APART = 4  # pixels between displacements; flow is computed from averages of 2 x 2 pixels
-LEAST = 16  # displacements along an axis: of smaller parts, frames are mixed
-CUT = -1.0  # for the longest displacement: one frame replaces the other
-_AROUND = 64  # pixels around what moves, from which motion may come
+LEAST = 16  # displacements along an axis: frames of smaller parts are mixed
+CUT = -1.0  # the value of ``longest`` at a cut: one frame replaces the other
+_AROUND = 64  # pixels around the reach of strokes from which motion may come
 _SETTING = threading.Lock()  # OpenCV's number of threads is one for all of a process
 _STRIPES = 8  # of a frame: OpenCV's threads, on whose number the flow depends
 _ALONE = 1 << 16  # pixels up to which one thread is faster
-_SMOOTH = 3.0  # displacements: the deviation of averages of disagreement
-_ALIKE = 0.5  # displacements between the two directions up to which they are averaged
-_STRAY = 0.7, 0.85  # the part of the change in which directions contradict each other, from which none is followed
+_SMOOTH = 3.0  # lattice steps: the sigma of the averages of differences
+_ALIKE = 0.5  # lattice steps: up to this distance, both directions are averaged
+_STRAY = 0.7, 0.85  # parts of the change where directions disagree, between which trust ends
 # A filter that leaves of a picture little but its noise (Immerkær, 1996), and by how much the mean difference of two
 # pictures of such noise, 2 σ / √π, is less than the median of its size, 0.6745 · 6 σ. Of smoothed differences, a fifth
 # are less than 1 / 1.08 of that mean.
 _ROUGH, _NOISE = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], np.float32), 0.279
-_SHOTS = 15.0  # levels of 255: frames half of whose samples disagree by more, in the end, are of two shots
-# The part of the change that has to be explained, over which trust fades in: where it moves by few pixels, by how many
-# samples are the same in both frames, which is what codecs leave that compress hard; less where it moves by many.
+_SHOTS = 15.0  # of 255 levels: where the median difference, after motion, is larger, it may be a cut
+# The part of the change that motion must explain, above which trust fades in over _FADES. For motions of few pixels
+# (_MOVED), it rises with the part of equal samples (_SAME), which hard compression leaves; for long ones, it is _FAR.
 _SAME, _MOVED, _FAR, _FADES = ((0.42, 0.53), (0.4, 0.7)), (1.2, 6.0), 0.1, 0.15
 
 
@@ -48,9 +48,9 @@ def need_flow() -> None:
 class Moving(NamedTuple):
     """Motion as the core takes it.
 
-    ``fields`` are of pairs in slots, (slots, h, w, 4): v in pixels, x first, its weight, and 0. ``longest`` is the
-    length of each slot's longest v: 0 for the plain mixture, `CUT` at a cut. The first v is at ``x``, ``y`` in pixels,
-    and the next ``apart``.
+    ``fields`` has the pairs of frames in slots, (slots, h, w, 4): v in pixels, x first, its weight, and 0. ``longest``
+    has the length of each slot's longest v: 0 for the plain mixture, `CUT` at a cut. The first v is at (``x``, ``y``)
+    in pixels, and neighbours are ``apart`` pixels from each other.
     """
 
     fields: Floats
@@ -103,13 +103,13 @@ def motion_between(one: Grey, other: Grey, keep_grain: bool = False) -> tuple[Fl
         return cv2.remap(array, x + by * v[..., 0], y + by * v[..., 1], cv2.INTER_LINEAR, None, cv2.BORDER_REPLICATE)
 
     def differ(v: Any) -> Any:
-        """Return how far the samples at both ends of v differ, on average around each."""
+        """Return the mean difference of the samples at both ends of v, around each place."""
         return smooth(np.abs(shifted(images[0], v, -0.5) - shifted(images[1], v, 0.5)))
 
     def smooth(array: Any) -> Any:
         return cv2.GaussianBlur(array, (0, 0), _SMOOTH)
 
-    # v = F(p - v/2), and v = -G(p + v/2).
+    # Solve v = F(p - v/2), and v = -G(p + v/2): F is the flow there, G the flow back.
     ends = []
     for field, by in ((there, -0.5), (-back, 0.5)):
         v = field
@@ -117,26 +117,26 @@ def motion_between(one: Grey, other: Grey, keep_grain: bool = False) -> tuple[Fl
             v = shifted(field, v, by)
         ends.append(v)
     ways = [differ(v) for v in ends]
-    noise = float(np.median(np.minimum(*ways)))  # what remains where the motion is right
+    noise = float(np.median(np.minimum(*ways)))  # the difference that remains where the motion is right
     first = 1 / (1 + np.exp(np.clip((ways[0] - ways[1]) / (2 + 0.5 * noise), -30, 30)))
     contrary = cv2.magnitude(*cv2.split(ends[0] - ends[1]))
     far = np.clip(contrary / _ALIKE - 1, 0, 1)
     first = (first * (1 - far) + (first > 0.5) * far)[..., None]
     v = first * ends[0] + (1 - first) * ends[1]
     moved, still = differ(v), smooth(np.abs(images[0] - images[1]))
-    # Of the whole pair, weighed by what changes: does motion explain it, as it does not at cuts, nor for the noise of
-    # codecs, which mixes frames itself?
+    # For the whole pair, weighted by the change: does motion explain it? It does not at cuts, nor for the noise of
+    # codecs, which mix frames themselves.
     whole = float(still.sum()) + 1e-6
     length = cv2.magnitude(*cv2.split(v))
     stray = float(still[contrary > 1 + 0.15 * length].sum()) / whole
     if noise > _SHOTS and stray > 0.5:
         return fields, CUT
     change, rest = (float((still * each).sum()) / whole for each in (still, moved))
-    least = np.interp(np.count_nonzero(one == other) / one.size, *_SAME)  # what they mix themselves does not move
+    least = np.interp(np.count_nonzero(one == other) / one.size, *_SAME)  # codecs mix frames where nothing moves
     asked = np.interp(APART * float((still * length).sum()) / whole, _MOVED, (least, _FAR))
     explained = 1 - max(rest - noise, 0) / max(change - noise, 0.5)
     trust = _step((explained - asked) / _FADES) * _step((_STRAY[1] - stray) / (_STRAY[1] - _STRAY[0]))
-    # Here: none where the mixture agrees as well.
+    # At each place: no weight where the plain mixture agrees as well.
     slack = 0.2 + 1.5 * noise
     ratio = (np.maximum(moved - noise, 0) + slack) / (np.maximum(still - noise, 0) + slack)
     weight = np.clip(1.4 + 0.05 * max(noise - 1.5, 0) - 1.3 * ratio, 0, 1) * trust
@@ -182,7 +182,7 @@ class Motion:
 
     @staticmethod
     def shape_of(work: Work, slots: int) -> tuple[int, int, int, int]:
-        """Return the shape of the fields of a map, of the pairs in so many slots."""
+        """Return the shape of ``fields`` for the pairs in a number of slots."""
         x0, x1, y0, y1 = _reached(work.space)
         return slots, -(-(y1 - y0) // APART), -(-(x1 - x0) // APART), 4
 
@@ -197,7 +197,7 @@ class Motion:
                 self._moving.fields[slot], self._moving.longest[slot] = motion_between(one, other, self._keep_grain)
                 self._pairs[slot] = k
         self._grey = {k: grey for k, grey in self._grey.items() if k >= pairs.start}
-        slots = {k % len(self._pairs) for k in pairs}  # what planes before this one used plays no part
+        slots = {k % len(self._pairs) for k in pairs}  # without the pairs of earlier planes
         longest = [length if slot in slots else 0.0 for slot, length in enumerate(self._moving.longest)]
         return self._moving._replace(longest=longest) if any(longest) else None
 
@@ -218,7 +218,7 @@ class Motion:
         return self._grey[k]
 
     def _levels(self, *frames: Any) -> list[Grey]:
-        """Return frames in 8 bits: of the range of the format, or of the samples where the format says nothing."""
+        """Return frames scaled to 8 bits: from the range of the format or, if it has none, from that of the samples."""
         low, high = 0.0, self._layout.white
         if self._layout.dtype.str[1:] not in ("u1", "u2") or high > 65534:
             some = np.concatenate([frame[::4, ::4].ravel() for frame in frames])
@@ -230,7 +230,7 @@ class Motion:
 
 
 def _reached(space: Space) -> tuple[int, int, int, int]:
-    """Return the part x0, x1, y0, y1 of frames from which what strokes move may come, in whole averages."""
+    """Return the part (x0, x1, y0, y1) of frames from which the motion of moved pixels may come, in whole averages."""
     height, width = space.shape
     if space.composite is not None:
         return 0, width, 0, height

@@ -28,11 +28,11 @@ def inverse_map(
     Each stroke is inverted by itself, the last one first. ``axes`` is the packed domain, ``z`` the plane of a video or
     a volume, in samples, and ``every`` the stride of the rows and columns that are computed. ``mu`` is the relaxation
     factor of each step; iterations end where |T(p) - q| is below the tolerance, in pixels, or at their ``limit`` for
-    one stroke. If ``corrected``, A is the Gauss–Newton matrix.
+    one stroke. If ``corrected``, steps use the Gauss–Newton matrix in place of the published one.
 
     Returns
     -------
-    points : float32 array, shape (H, W, 2), or (H, W, 3) of a plane
+    points : float32 array, shape (H, W, 2), or (H, W, 3) with a ``z``
         In pixels, x first.
     iterations : int64 array, shape (H, W)
         The sum over all strokes.

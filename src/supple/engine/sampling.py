@@ -32,9 +32,9 @@ class Sampling:
     ----------
     filter : str
         ``"auto"`` (cubic, averaged over the residual footprint where the map shrinks), ``"cubic"`` (Keys' with a =
-        -0.75), ``"linear"``, ``"nearest"`` (unchanged values), or ``"labels"``: of the labels in the footprint of
-        ``"auto"``, that of the largest share, so that edges are smooth, and no label is new; not for clips of files,
-        nor on a CUDA device.
+            -0.75), ``"linear"``, ``"nearest"`` (unchanged values), or ``"labels"``: the label with the largest share of
+            the footprint of ``"auto"``. Its edges are smooth, and no new labels appear; not for files of clips, nor on
+            a CUDA device.
     tolerance : float
         The largest distance of a source point from T⁻¹(q), in pixels. Points are float32: values below about 3e-4
         exceed their accuracy.
@@ -47,8 +47,8 @@ class Sampling:
         Whether to average in linear light rather than in sRGB values, which darkens fine detail.
     between : str, optional
         The interpolation between frames or slices: ``"linear"``, ``"cubic"`` or ``"nearest"``; linear by default,
-        nearest under ``filter="nearest"``, and cubic under ``"labels"``. ``"flow"`` is for frames alone: samples follow
-        the motion between two of them (with the extra ``flow``). An image, which is one frame, has none.
+            nearest under ``filter="nearest"``, and cubic under ``"labels"``. ``"flow"`` is for frames alone: samples
+            follow the motion between two of them (with the extra ``flow``). Images, of one frame, ignore it.
     time_filter : bool
         Whether to average each pixel over the frames that it covers, where the map compresses time: jagged edges
         become motion blur.
@@ -109,7 +109,7 @@ class Sampling:
     def of(cls, sampling: object, options: SamplingFields, ndim: int, *, flow: bool = False) -> Sampling:
         """Return the sampling of an array of ``ndim`` axes, with ``options`` in place of fields of the given one.
 
-        ``flow`` says whether samples may follow motion: not between slices, nor in all kinds of work.
+        ``flow`` says whether ``between="flow"`` is possible here.
         """
         if not isinstance(sampling, Sampling):
             refuse("sampling", "a Sampling", sampling)
@@ -132,7 +132,7 @@ class Sampling:
     def fills(self, channels: int, dtype: np.dtype[Any], *, finite: bool = True) -> Vector:
         """Return the fill value of each channel, in the range of the sample type.
 
-        Averages take finite ones only; `supple.arrays.warp_array` fills with others afterwards.
+        Fill values in averages must be finite; `supple.arrays.warp_array` stores others afterwards.
         """
         values = np.asarray(self.fill)
         if values.shape not in ((), (1,), (channels,)):
@@ -174,8 +174,7 @@ class Certificate:
         The number of points at which a field could not be solved to the tolerance: the error is infinite, as it is
         where strokes could not be.
     folded, outside : int
-        Of the solved points, the number of those where a field folds, and of those that are mapped to from beyond a
-        field's grid.
+            The numbers of solved points at which a field folds, and of those whose solution is beyond a field's grid.
     """
 
     error: float = 0.0
@@ -211,8 +210,8 @@ def warn_of(
 ) -> None:
     """Warn if a map may be less accurate than the tolerance, or has folds or gaps.
 
-    ``folds`` says which of the fields that are inverted fold, if any: all that is known of folds is one warning.
-    ``field_name`` is that of the only field, if there is only one.
+    ``folds`` names the inverted fields that fold, if any, so that all folds are in one warning. ``field_name`` is the
+    name of the field, if there is only one.
     """
     told = [f"{folds}: where they are mapped to, the inverse is one of several points"] if folds else []
     if certificate.unknown or certificate.folded:

@@ -143,7 +143,7 @@ def make_plan(work: Work, planes: Sequence[int], tell: Tell = silent) -> Plan:
                 tell("plan", k + 1, n)
     needed = np.array([_frames_needed(a, b, count, sampling.outside) for a, b in zip(first, last, strict=True)])
     keep = np.minimum.accumulate(needed[::-1, 0])[::-1]
-    # The timestamp of a frame is known when it has been read.
+    # A plane has the timestamp of its frame, which must have been read, too.
     read = np.maximum.accumulate(np.maximum(needed[:, 1], planes)) if n else needed[:, 1]
     return Plan(tuple(planes), first, last, still, keep, read, int((read - keep).max()) + 1)
 
@@ -177,7 +177,7 @@ def stream(
     """Yield planes of the output: the index of each, its samples, and the certificate of its map.
 
     Frames are read in order, from number ``first`` on, into a window of those that the plan needs at once, with the
-    motion between them: in memory, or beyond so many bytes in a temporary file. The samples are one array (h, w,
+    motion between them: in memory, or beyond ``memory`` bytes in a temporary file. The samples are one array (h, w,
     channels) for each group, reused for the next plane, or for a later one if more are ``buffered``. SuppleError if
     there are fewer frames than the plan needs, or no room for the file.
     """

@@ -1,4 +1,4 @@
-"""The values that are sampled: a packed map, the layout of frames, and both with the options as the core takes them."""
+"""What sampling takes: a packed map, the layout of frames, and a job of both, with options, in the core's form."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def silent(step: str, done: int, total: int) -> None:
 
 
 class Mask(_core.Freeze):
-    """A freeze mask as the core takes it, with its coefficients for shaders and CUDA; points are from an origin."""
+    """A freeze mask as the core takes it, with its coefficients for shaders and CUDA; relative to an origin."""
 
     def __init__(self, freeze: Freeze, spacing: Vector, origin: Vector) -> None:
         values, first, self.step = freeze.packed(spacing)
@@ -51,16 +51,16 @@ def _mask(freeze: Freeze, spacing: Vector, origin: Vector) -> Mask | None:
 def mask_of(domain: Domain, origin: Vector = (0.0, 0.0, 0.0)) -> Mask | None:
     """Return a domain's freeze mask as the core takes it, or None if nothing is frozen.
 
-    Points are from the origin, in physical units.
+    Points are relative to the origin, in physical units.
     """
     return None if domain.freeze is None else _mask(domain.freeze, domain.spacing, origin)
 
 
 class Mattes(_core.Freeze):
-    """The masks of strokes that have some of their own, by their numbers in the rows; the first is that of the others.
+    """The masks of strokes, by the numbers in their rows; the first is for strokes without a mask of their own.
 
-    ``freezes`` are those between strokes, in order: the row before which each stands, and the number of its mask.
-    Shaders see the first mask alone.
+    ``freezes`` are the freezes between strokes, in order: the row before which each stands, and the number of its mask.
+    Shaders use the first mask only.
     """
 
     def __init__(self, masks: tuple[Mask | None, ...], freezes: tuple[tuple[int, int], ...] = ()) -> None:
@@ -74,7 +74,7 @@ class Mattes(_core.Freeze):
 
     @classmethod
     def adding(cls, before: Mask | Mattes | None, mask: Mask | None, row: int | None = None) -> tuple[Mattes, int]:
-        """Return the masks with one more, which freezes what is before a ``row`` if that is given, and its number."""
+        """Return the masks with one more, and its number; with a ``row``, as a freeze that stands before it."""
         masks, freezes = (before.masks, before.freezes) if isinstance(before, Mattes) else ((before,), ())
         if mask not in masks[1:]:
             masks = (*masks, mask)
@@ -88,7 +88,7 @@ def _mattes(masks: tuple[Mask | None, ...], freezes: tuple[tuple[int, int], ...]
 
 
 def seen_from(freeze: Mask | Mattes | None, origin: Vector) -> Mask | Mattes | None:
-    """Return a mask, or masks, for points from an origin, in physical units."""
+    """Return a mask, or masks, for points relative to an origin, in physical units."""
     if isinstance(freeze, Mattes):
         masks = (None if mask is None else _mask(*mask.made_of[:2], origin) for mask in freeze.masks)
         return _mattes(tuple(masks), freeze.freezes)
@@ -101,7 +101,7 @@ def shown_mask(freeze: Mask | Mattes | None) -> Mask | None:
 
 
 def refuse_mattes(space: Space, where: str) -> None:
-    """Raise SuppleError if strokes have several masks, for what takes one mask alone."""
+    """Raise SuppleError if strokes have several masks, where only one is supported."""
     if isinstance(space.freeze, Mattes):
         what = "a freeze stands between strokes" if space.freeze.freezes else "strokes have mattes"
         raise SuppleError(f"{what}, which {where} does not take: leave them out, or use the CPU")
@@ -112,8 +112,8 @@ class Space:
     """The map as the core takes it, and the number and shape of frames.
 
     ``rows`` are the strokes, each one-to-one (`supple._core.rows`), and ``axes`` the packed domain: a row (first, last,
-    sigma, spacing, profile) for each axis, x first (`Domain.packed`). ``ndim`` is 2 for one map of an image, or of each
-    of ``count`` frames of a ``shape`` (rows, columns) alike; 3 for a map through a clip or a volume. ``composite`` is
+    sigma, spacing, profile) for each axis, x first (`Domain.packed`). ``ndim`` is 2 for a map of an image, or of
+    each of ``count`` frames; 3 for a map through a clip or a volume. ``shape`` is (rows, columns). ``composite`` is
     the whole map, if there is more to it than strokes: affine maps, fields, or another ``grid`` of the output.
     ``freeze`` is the mask of the strokes, or the masks.
     """
@@ -209,8 +209,8 @@ class Layout:
 class Work:
     """One job: a map, the layout of the frames, and how they are sampled.
 
-    ``items`` are the maps of a batch along the first axis, one for all items or one for each; or of a clip each of
-    whose frames has its own. ``bent`` are the frames of a clip that are warped, by default all; others are unchanged.
+    ``items`` are the maps of a batch: one for all items, or one for each; or of a clip, one for each frame. ``bent``
+    are the indices of the frames that are warped, by default all; others are copied.
     """
 
     space: Space
@@ -221,7 +221,7 @@ class Work:
 
     @property
     def spaces(self) -> tuple[Space, ...]:
-        """The maps: that of all frames, or that of each."""
+        """The maps: one for all frames, or one for each."""
         return self.items or (self.space,)
 
     @property

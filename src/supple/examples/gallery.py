@@ -79,7 +79,7 @@ def write_gallery(
     maker = "the CPU" if gpu is None else f"the CPU, and views of volumes by the GPU {gpu.name}, through {gpu.backend}"
     place = _prepared(Path(folder), force)
     for name in dict.fromkeys(shot.source for scene in SCENES for shot in scene.shots):
-        if name == INSIDE:  # the head without the voxels outside of the brain's mask
+        if name == INSIDE:  # the head, 0 outside the brain's mask
             data = files("supple.examples") / "data"
             with as_file(data / HEAD) as head, as_file(data / "brain.nii.gz") as marks:
                 volume = read_volume(head)

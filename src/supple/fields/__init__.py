@@ -1,4 +1,4 @@
-"""Displacement fields: values, files and inverses; and compositions of fields and affine maps."""
+"""Displacement fields and their inverses; compositions of fields and affine maps; and the files of both."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ PathLike = str | os.PathLike[str]
 Interpolation = Literal["linear", "cubic", "bspline"]
 Beyond = Literal["zero", "edge"]
 
-_ROUNDING = 1e-6  # samples: the outermost samples of a field may be just outside of it by rounding
+_ROUNDING = 1e-6  # samples: rounding may place the outermost samples of a field outside of it
 
 OK, FOLDED, OUTSIDE, UNCONVERGED = range(4)
 STATUS = ("ok", "folded", "outside", "unconverged")
@@ -37,9 +37,9 @@ STATUS = ("ok", "folded", "outside", "unconverged")
 
 @dataclass(frozen=True, slots=True, eq=False, init=False)
 class Field:
-    """A displacement field: the map x → x + u(x), with u given on a grid and interpolated between.
+    """A displacement field: the map x → x + u(x), with u given on a grid and interpolated in between.
 
-    As resampling tools use one, it maps each point of the output to the point of the input that is seen there (pull).
+    As in resampling tools, it maps each point of the output to its source point in the input (pull).
 
     Parameters
     ----------
@@ -51,8 +51,8 @@ class Field:
     interpolation : str
         ``"linear"``; ``"cubic"``, a cubic B-spline through the values; ``"bspline"``, values are its coefficients.
     beyond : str
-        Of a point outside the grid, farther than half a sample: no displacement (``"zero"``, as in ITK), or that of
-        the nearest point of the ``"edge"``.
+            The displacement more than half a sample outside the grid: none (``"zero"``, as in ITK), or that of the
+            nearest point of the ``"edge"``.
 
     Raises
     ------
@@ -116,12 +116,12 @@ class Field:
         return np.ascontiguousarray(moved).reshape(given.shape)
 
     def packed(self, frame: Floats) -> _core.Sampled:
-        """Return the field as the core takes it.
+        """Return the field in the form of the core.
 
         Parameters
         ----------
         frame : float64 array, shape (D + 1, D + 1)
-            The homogeneous matrix from the coordinates of the points that it shall map to positions.
+            The homogeneous matrix from the core's coordinates to positions.
         """
         n = self.ndim
         to_index = np.linalg.inv(self.grid.matrix)
@@ -161,7 +161,7 @@ class Field:
         Raises
         ------
         SuppleError
-            If the grid has another number of axes, or lies apart from the field and all that it leads to.
+                If the grid has another number of axes, or does not overlap the field and the region that it maps to.
         """
         n = self.ndim
         tolerance = number("tolerance", tolerance, "a number of voxels above 0", 1e-9, 1e9)
@@ -183,17 +183,17 @@ class Field:
         Returns
         -------
         bool array
-            Of the shape of the samples less one along each axis of several: whether the determinant of I + ∂u/∂x may
-            not be above 0 somewhere in the cell. It is found by bounds that hold in the whole cell.
+            The shape has one cell less than samples along each axis of several samples. True where the determinant of
+            I + ∂u/∂x may be 0 or less somewhere in the cell, by bounds that hold in the whole cell.
         """
         cells = np.zeros([max(size - 1, 1) for size in own_grid(self).shape], np.uint8)
         self.packed(np.eye(self.ndim + 1)).folded_cells(cells)
         return cells.astype(np.bool_)
 
     def log_jacobian(self) -> npt.NDArray[np.float32]:
-        """Return the logarithm of the determinant of I + ∂u/∂x at each sample: above 0, the input is larger.
+        """Return the logarithm of det(I + ∂u/∂x) at each sample; above 0, the input is larger.
 
-        By central differences between the samples, one-sided at the edges; NaN where the determinant is not above 0,
+        From central differences between samples, one-sided at the edges; NaN where the determinant is not above 0,
         that is, where the field folds.
         """
         return checks.log_jacobian(sampled(self), own_grid(self))
@@ -221,7 +221,7 @@ class Field:
     def distances(self, inverse: Field) -> npt.NDArray[np.float32]:
         """Return |inverse(self(x)) − x| at each sample x, in the grid's units.
 
-        NaN where this field maps a sample to a point beyond the other one's grid, farther than half a sample.
+        NaN where this field maps a sample more than half a sample beyond the other one's grid.
         """
         if not isinstance(inverse, Field):
             refuse("inverse", "a Field", inverse)
@@ -233,7 +233,7 @@ class Field:
     def reported(
         self, folded: Array, logarithms: npt.NDArray[np.float32], distances: npt.NDArray[np.float32] | None = None
     ) -> FieldReport:
-        """Return the report of what `folded_cells`, `log_jacobian` and `distances` have returned."""
+        """Return the report from the results of `folded_cells`, `log_jacobian` and `distances`."""
         grid, values = own_grid(self), sampled(self)
         if self.interpolation == "linear":
             least, index = checks.least_at_corners(values, grid)
@@ -253,7 +253,7 @@ class Field:
         )
 
     def compose(self, *maps: Map | Placed, grid: Grid | None = None) -> Self:
-        """Return the field of this map and others, one after the other: x goes through this one first.
+        """Return the field of this map followed by others: x goes through this one first.
 
         Parameters
         ----------
@@ -286,8 +286,8 @@ class Field:
             The file, or a transform of SimpleITK; see `supple.media.transforms` for the formats.
         convention : str, optional
             The program whose convention the file follows: ``"itk"`` (ITK, ANTs, 3D Slicer), ``"fsl-relative"``,
-            ``"fsl-absolute"``, ``"afni"``, ``"mrtrix"``, ``"ngff"``, ``"opencv"``, ``"stmap"``, ... By default, that
-            which the file itself shows without doubt.
+                ``"fsl-absolute"``, ``"afni"``, ``"mrtrix"``, ``"ngff"``, ``"opencv"``, ``"stmap"``, ... By default, the
+                convention that the file shows without doubt.
         source, reference : Grid, optional
             The grids of the input (moving) and of the output (fixed) image, where the convention refers to them: fields
             of FSL to the first, matrices of FLIRT to both.
@@ -334,16 +334,16 @@ class Inverted:
     Parameters
     ----------
     field : Field
-        The inverse, interpolated linearly between its samples. At a sample that is not ``OK``, it is the nearest that
-        was found.
+            The inverse, interpolated linearly between its samples. At a sample that is not ``OK``, it is the best point
+            that was computed.
     error : float32 array, of the grid's shape
-        A bound on the distance of x from the true inverse of the interpolant, in the grid's units (millimetres); inf
-        where it is not known.
+            A bound on the distance of x from the true inverse of the interpolant, in the grid's units (millimetres);
+            inf where there is none.
     status : uint8 array, of the grid's shape
-        For each sample: `OK`, if x is on the field's grid, and no other point is mapped there, not even of the field as
-        its edge continues it; `FOLDED`, if several points may be mapped there, since something that folds is, perhaps
-        beyond the grid; `OUTSIDE`, if x is beyond the grid, on the field as its edge continues it; or `UNCONVERGED`, if
-        no x was found within the tolerance.
+            For each sample: `OK`, if x is on the field's grid, and the only preimage, counting the continuation of the
+            field beyond its edge; `FOLDED`, if there may be several preimages, as a folded cell maps here, perhaps one
+            beyond the grid; `OUTSIDE`, if x is beyond the grid, where the field is continued; or `UNCONVERGED`, if no x
+            was within the tolerance.
     """
 
     field: Field
@@ -358,7 +358,7 @@ class Inverted:
 
 
 Map = Affine | Field
-"""A map of positions that is no stroke."""
+"""A map of positions: an element of a deformation other than a stroke."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -368,7 +368,7 @@ class Placed:
     Parameters
     ----------
     map : Field, Affine or Projective
-        From a point of the output to the point of the input that is seen there (pull).
+            From a point of the output to its source point in the input (pull).
     inverse : bool
         Whether to apply the inverse (push).
     after : int
@@ -389,11 +389,11 @@ class Placed:
 
     @property
     def told(self) -> str:
-        """The name, or what it is."""
+        """The name in messages."""
         return self.name or ("the field" if isinstance(self.map, Field) else "the affine map")
 
     def packed(self, frame: Floats) -> _core.Part:
-        """Return the map as the core takes it, from the coordinates of `Field.packed`, as a part of the pull map."""
+        """Return the map in the form of the core, for coordinates of `Field.packed`, as a part of the pull map."""
         if isinstance(self.map, Field):
             return "field", self.map.packed(frame), self.inverse
         rows = matrix_rows(np.linalg.inv(frame) @ self.map.matrix @ frame, isinstance(self.map, Projective))
@@ -401,13 +401,13 @@ class Placed:
 
 
 def only_name(maps: Iterable[Placed]) -> str:
-    """Return the name of the only field among maps; "a field" if it has none, or there are more."""
+    """Return the name of the field among maps if there is exactly one, and it has a name; otherwise "a field"."""
     fields = [placed for placed in maps if isinstance(placed.map, Field)]
     return fields[0].name if len(fields) == 1 and fields[0].name else "a field"
 
 
 def folds_of(maps: Iterable[Placed]) -> str:
-    """Return in words which of the fields that are inverted fold, and in how many cells; "" if none does."""
+    """Return the text of which inverted fields fold, and in how many cells; "" if none does."""
     told = []
     for placed in maps:
         if placed.inverse and isinstance(placed.map, Field):
@@ -423,8 +423,8 @@ def read_maps(
 ) -> tuple[Map, ...]:
     """Read the affine maps and fields of a file, in the order in which a point of the output goes through them.
 
-    Parameters and errors are those of `Field.read`. In place of a name, ``path`` may be a transform of SimpleITK: an
-    affine one of any kind, a displacement field, a cubic B-spline, or a composite of these.
+    Parameters and errors are those of `Field.read`. ``path`` may also be a transform of SimpleITK: an affine map of any
+    kind, a displacement field, a cubic B-spline, or a composite of these.
     """
     from supple.media import transforms
 
@@ -454,13 +454,13 @@ def write_maps(
 
 
 def to_sitk(*maps: Map) -> Any:
-    """Return the transform of SimpleITK of one map, or the composite of several; a point goes through the first first.
+    """Return maps as a transform of SimpleITK, several as a composite; a point goes through the first map first.
 
     Parameters
     ----------
     *maps : Field or Affine
-        In millimetres in LPS, or in the units of images of two axes. What a field does beyond its grid is not kept:
-        ITK moves nothing there.
+            In millimetres in LPS, or in the units of images with two axes. The continuation of a field beyond its grid
+            is lost: ITK moves nothing there.
 
     Returns
     -------
@@ -470,7 +470,7 @@ def to_sitk(*maps: Map) -> Any:
     Raises
     ------
     SuppleError
-        If an argument is no such map, or a field is of ``"cubic"`` interpolation.
+            If an argument is neither, or a field has ``"cubic"`` interpolation.
     """
     if not maps or not all(isinstance(each, Field | Affine) for each in maps):
         refuse("maps", "one or more of Field and Affine", maps)
@@ -491,7 +491,7 @@ def _contents(maps: Sequence[Map]) -> list[transforms.Content]:
 
 
 def told(maps: Sequence[Map]) -> str:
-    """Return what maps are, in words."""
+    """Return a description of maps for messages."""
     return " and ".join("a field" if isinstance(each, Field) else "an affine map" for each in maps) or "nothing"
 
 
@@ -513,15 +513,15 @@ def compose(maps: Sequence[Map | Placed], grid: Grid) -> Field:
     Raises
     ------
     SuppleError
-        If a map has another number of axes than the grid, or a field lies apart from the grid, or from what the maps
-        before it lead to.
+            If a map has another number of axes than the grid; or a field does not overlap the grid, or the region to
+            which the maps before it lead.
 
     Warns
     -----
     FoldWarning
         If a field that is inverted folds.
     OutsideWarning
-        If to some samples no point of an inverted field's grid is mapped.
+            If no point of an inverted field's grid is mapped to some of the samples.
     """
     n = check_grid(grid).ndim
     given = [each if isinstance(each, Placed) else Placed(each) for each in maps]
@@ -536,7 +536,7 @@ def compose(maps: Sequence[Map | Placed], grid: Grid) -> Field:
 
 
 def check_grid(grid: Grid) -> Grid:
-    """Return a grid as it is; SuppleError if it is none, or sheared."""
+    """Return the grid; SuppleError if it is no Grid, or is sheared."""
     if not isinstance(grid, Grid):
         refuse("grid", "a Grid", grid)
     if grid.shear:
@@ -545,7 +545,7 @@ def check_grid(grid: Grid) -> Grid:
 
 
 def margin_of(interpolation: Interpolation) -> float:
-    """Return how far beyond its outermost samples a field is defined, in samples; of a B-spline, `own_grid`'s."""
+    """Return how many samples a field extends beyond its outermost ones (for a B-spline, those of `own_grid`)."""
     return _ROUNDING if interpolation == "bspline" else 0.5
 
 
@@ -557,7 +557,7 @@ def _array(values: npt.ArrayLike) -> Array:
 
 
 def own_grid(field: Field) -> Grid:
-    """Return the grid of the samples of a field; of B-spline coefficients, without those beyond the field."""
+    """Return the grid of a field's samples; for B-spline coefficients, without the outermost ones, beyond the field."""
     if field.interpolation != "bspline":
         return field.grid
     return field.grid.crop([1] * field.ndim, [n - 2 for n in field.grid.sizes])
@@ -578,17 +578,18 @@ def check_path(
     source: Grid | None = None,
     name: str = "the input",
 ) -> None:
-    """Raise SuppleError for fields, up to the first affine map, that no point of the output comes near.
+    """Raise SuppleError for a field, before the first affine map, that no point of the output comes near.
 
-    A point of the output goes through the first map first; of a part of a grid, the whole counts. If ``source`` is
-    given, the last field shall lead there; else it may lead anywhere. ``where`` and ``name`` are what has these grids.
+    A point of the output goes through the first map first; for a part of a grid, the whole grid counts. If ``source``
+    is given, the last field must lead there. ``where`` and ``name`` are the owners of ``output`` and ``source``, for
+    messages.
     """
     box = output.uncropped().box
     given = list(maps)
     for k, placed in enumerate(given):
         held, what = placed.map, placed.told
         if not isinstance(held, Field):
-            return  # it may lead to another part, as one wishes
+            return  # an affine map may lead to another region on purpose
         own = held.grid.box
         check_boxes(_led(held, own) if placed.inverse else own, what, box, where)
         if k < len(given) - 1 or source is not None:
@@ -598,11 +599,11 @@ def check_path(
 
 
 def _led(field: Field, box: Box, inverse: bool = False) -> Box:
-    """Return a box around another one and where a field, or its inverse, may lead it."""
+    """Return a box around another box and the region to which a field, or its inverse, may map that."""
     planes = field.values.reshape(-1, *field.values.shape[-2:])
     low = np.min([plane.min(axis=(0, 1)) for plane in planes], axis=0)
     high = np.max([plane.max(axis=(0, 1)) for plane in planes], axis=0)
-    if field.interpolation == "cubic":  # which leaves the range of the values, by less than 1.5 of it in space
+    if field.interpolation == "cubic":  # a spline exceeds the range of its values by less than 1.5 times the range
         low, high = low - 1.5 * (high - low), high + 1.5 * (high - low)
     least, most = (-high, -low) if inverse else (low, high)
     return box[0] + np.minimum(least, 0.0), box[1] + np.maximum(most, 0.0)

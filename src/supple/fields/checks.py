@@ -1,6 +1,6 @@
-"""The change of volume by a displacement field: determinants, where they are not above 0, and how well two fields undo.
+"""Checks of displacement fields: Jacobian determinants, folds, and how well one field undoes another.
 
-All walks along the first axis of the arrays, a plane or two at a time.
+Arrays are read along their first axis, a plane or two at a time.
 """
 
 from __future__ import annotations
@@ -20,22 +20,22 @@ from supple.space.domain import FREE
 from supple.space.geometry import Floats, Grid
 
 _WITHIN = 1e-9  # samples, of rounding
-_INWARDS = 1e-6  # samples: beyond the outermost ones, to which rounding may lead, there is no slope
+_INWARDS = 1e-6  # samples: the slope is 0 beyond the outermost samples, where rounding may lead
 
 
 @dataclass(frozen=True, slots=True)
 class Consistency:
-    """How far a second field is from undoing a first one: |second(first(x)) − x| at the samples x of the first.
+    """How well a second field undoes a first one: |second(first(x)) − x| at the samples x of the first.
 
     Parameters
     ----------
     count : int
-        The number of samples that the first field maps to points within the second one's grid. Only they are measured.
+            The number of samples that the first field maps into the second one's grid: only these are measured.
     outside : int
         The number of the other samples.
     largest, percentile, mean : float
-        The largest distance, that which 99 % of the samples do not exceed, and the mean, in the grid's units
-        (millimetres); NaN where `count` is 0.
+            The maximum, the 99th percentile and the mean of the distances, in the grid's units (millimetres); NaN where
+            `count` is 0.
     """
 
     count: int
@@ -58,14 +58,14 @@ class FieldReport:
     cells : int
         The number of cells of the interpolant: the boxes between neighbouring samples.
     folded : int
-        The number of cells that are not proved to be upright: somewhere in them, the determinant of I + ∂u/∂x may not
-        be above 0. It is found by bounds that hold in the whole cell, not only at samples.
+            The number of cells in which det(I + ∂u/∂x) is not proved to be above 0, by bounds that hold in the whole
+            cell, not only at samples.
     determinant : float
-        The least determinant of I + ∂u/∂x that was found. Of a linear interpolant, over the corners of all cells, from
-        inside each cell: in the plane, this is its least value anywhere; in space, that within a cell may be lower. Of
-        a spline, over the samples.
+            The least det(I + ∂u/∂x) that was computed. For a linear interpolant, over the corners of all cells, from
+            inside each cell: in the plane, this is the minimum; in space, values within a cell may be lower. For a
+            spline, over the samples.
     at : tuple of float
-        The position where it is, x first.
+            The position of ``determinant``, x first.
     negative : int
         The number of samples at which the determinant by central differences (`Field.log_jacobian`) is not above 0.
     consistency : Consistency, optional
@@ -152,10 +152,10 @@ def displacements(values: Array) -> tuple[float, float]:
 def distances(
     first: _core.Sampled, second: _core.Sampled, grid: Grid, within: Grid, margin: float
 ) -> npt.NDArray[np.float32]:
-    """Return |second(first(x)) − x| at each sample x of a grid; NaN where first(x) is not within another grid.
+    """Return |second(first(x)) − x| at each sample x of ``grid``; NaN where first(x) is not within the second's grid.
 
-    The fields are packed in positions. ``within`` is the grid of the second one, and ``margin`` how far that goes
-    beyond its outermost samples, in samples.
+    The fields are packed for positions. ``within`` is the grid of the second one, and ``margin`` how many samples the
+    field extends beyond it.
     """
     made = np.empty(grid.shape, np.float32)
     last = np.array(within.sizes) - 1 + margin + _WITHIN
@@ -170,7 +170,7 @@ def distances(
 
 
 def consistency_of(found: npt.NDArray[np.float32]) -> Consistency:
-    """Return the figures of `distances`."""
+    """Return the statistics of `distances`."""
     known = found[~np.isnan(found)]
     outside = found.size - known.size
     if not known.size:
@@ -180,7 +180,7 @@ def consistency_of(found: npt.NDArray[np.float32]) -> Consistency:
 
 
 def planes(grid: Grid, inwards: float = 0.0) -> Iterator[tuple[Floats, Floats]]:
-    """Yield the indices and the positions (N, D) of the samples of each plane of a grid, the outermost within it."""
+    """Yield the indices and positions (N, D) of the samples of each plane; the outermost are moved ``inwards``."""
     height, width = grid.shape[-2:]
     index = np.zeros((height * width, grid.ndim))
     index[:, 1], index[:, 0] = np.indices((height, width)).reshape(2, -1)
@@ -193,12 +193,12 @@ def planes(grid: Grid, inwards: float = 0.0) -> Iterator[tuple[Floats, Floats]]:
 
 
 def _steps(values: Array, k: int) -> list[tuple[Floats, Floats]]:
-    """Return differences of plane k to the samples ahead and behind along each axis, x first; at an end, to the one."""
+    """Return the differences ahead of and behind plane k's samples along each axis, x first; one-sided at ends."""
     near = values[max(k - 1, 0) : k + 2].astype(np.float64)
     here, made = near[min(k, 1)], []
     for axis in reversed(range(here.ndim - 1)):
         steps, index = np.diff(here, axis=axis), np.arange(here.shape[axis])
-        none = np.zeros_like(here)  # of an axis of one sample
+        none = np.zeros_like(here)  # for an axis of one sample
         behind, ahead = np.maximum(index - 1, 0), np.minimum(index, len(index) - 2)
         made.append((steps.take(ahead, axis), steps.take(behind, axis)) if len(index) > 1 else (none, none))
     steps = np.diff(near, axis=0) if len(near) > 1 else np.zeros_like(near)
@@ -216,7 +216,7 @@ def _determinant(steps: Sequence[Floats], grid: Grid) -> Floats:
 def through(
     parts: Sequence[_core.Part], points: Floats, *, jacobian: bool = False
 ) -> tuple[Floats, Floats, Certificate]:
-    """Return points (N, D) mapped by maps, one after the other; the derivatives, or an empty array; the certificate."""
+    """Return points (N, D) after all maps, in order; the Jacobians, or an empty array; and the certificate."""
     n, status = points.shape[1], np.zeros(len(points), np.uint8)
     composite = _core.Composite(n, np.array([FREE] * 3), list(parts))
     whole = np.zeros((len(points), 3))

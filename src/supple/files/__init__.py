@@ -1,4 +1,4 @@
-"""Files warped to files: images, clips and volumes."""
+"""Warping image, clip and volume files to files."""
 
 from __future__ import annotations
 
@@ -44,9 +44,9 @@ def warp_file(
 ) -> Warped:
     """Warp an image file, a video, an image sequence, or a volume.
 
-    An image keeps profile, EXIF, XMP and resolution; a video all that its new container can hold; a volume its position
-    in space, its scaling and, in the same format, its header. Opacity is filtered as opacity. The target appears whole,
-    or not at all.
+    An image keeps profile, EXIF, XMP and resolution; a video everything that its new container can hold; a volume its
+    position in space, its scaling and, in the same format, its header. Colours are premultiplied for filtering. The
+    target appears whole or not at all.
 
     Parameters
     ----------
@@ -57,7 +57,7 @@ def warp_file(
     target : str or os.PathLike
         The output; its suffix determines the format: one of those of images, except GIF; for clips, MP4, MOV, MKV,
         WebM, AVI, GIF, WebP or APNG, or a pattern or a folder for images; for volumes, NIfTI, NRRD, MetaImage or TIFF;
-        for DICOM, also DICOM: a folder for slices, or a ``.dcm`` for a file of many frames.
+        for DICOM, also DICOM: a folder for slices, or a ``.dcm`` for a multi-frame file.
     recipe : Recipe
         The strokes, the border and the fold policy. Strokes with a time, x, y and t in frames, warp the clip; strokes
         without one warp each frame alike, and each page of a TIFF; those with keys move from frame to frame. In
@@ -65,43 +65,42 @@ def warp_file(
     filter, tolerance, fill, linear_light
         As in `supple.Sampling`.
     outside : str, optional
-        As in `supple.Sampling`; by default ``"edge"``. Of volumes on the grid of a reference, it is
-        ``"constant"``, with what `supple.files.volumes.background_of` returns as the fill value.
+        The boundary mode, as in `supple.Sampling`; by default ``"edge"``. For volumes on the grid of a reference, the
+        default is ``"constant"``, with the fill value of `supple.files.volumes.background_of`.
     clamp : bool, optional
         Whether to clamp to the range of the source; by default, for volumes and images of floats.
     quality : int, optional
-        From 1 to 100, for JPEG, WebP and AVIF; by default that of a JPEG that stays one.
+        From 1 to 100, for JPEG, WebP and AVIF; by default that of the source, from JPEG to JPEG.
     lossless : bool
         Whether to write without loss, in WebP and AVIF too; a video with FFV1 or the named codec.
     compression : str, optional
-        How pictures without loss are compressed, as in `supple.media.image.write`; ``"fast"`` is the fastest.
+        The compression of lossless pictures, as in `supple.media.image.write`; ``"fast"`` is the fastest.
     device : str
         The device, as in `Deformation.warp`.
     force : bool
-        Whether an existing file may be replaced, even the source.
+        Whether to replace an existing file, even the source.
     progress : bool or function
-        Whether to show progress on a terminal. Or a function, which is called before each stage with its name,
-        ``"read"``, ``"warp"`` and ``"write"``: an exception in it ends the work without a file. For a clip, ``"write"``
-        comes first, and then ``"plan"`` and ``"warp"`` for every frame; with strokes that move, ``"plan"`` comes first.
+        Whether to show progress on a terminal; or a function, which is called before each stage with its name,
+        ``"read"``, ``"warp"`` and ``"write"``. If it raises, no file is written. For a clip, ``"write"`` comes first,
+        and then ``"plan"`` and ``"warp"`` for every frame; with strokes that move, ``"plan"`` comes first.
     tell : function of (str, int, int), optional
-        Called like ``progress``, also with the finished and the total number of frames or slices; for an image, of
-        stages.
+        Called like ``progress``, but with the finished and the total number of frames or slices, or stages of an image.
     clip : ClipOptions, optional
         Options for clips.
     volume : VolumeOptions, optional
         Options for volumes.
     fit : str, optional
         The scaling of a recipe made for another size, as in `Recipe.fitted`: ``"pixels"``, ``"stretch"`` or
-        ``"inside"``. By default, it is scaled if the proportions are the same, and refused otherwise.
+        ``"inside"``. By default, it is scaled if the proportions are the same; otherwise, it is an error.
     maps : sequence of Placed, optional
         Fields and affine maps before, between and after the strokes of the recipe, by their `Placed.after`: in
         millimetres in LPS for volumes, in pixels for pictures. Not for clips.
     grid : GridOptions, optional
         The grid of the output: that of another image, a part, or of another spacing. Not for clips.
     frames, frame, hold, between : optional
-        As in `ClipOptions`, which they complete: the part of a clip that is bent, ``(first, last)``; the one frame that
-        is written as a picture, for which no more frames are decoded than it needs; the frames at each end that keep
-        every bit; and the interpolation between frames.
+        As in `ClipOptions`, whose values they replace: the part of a clip that is bent, ``(first, last)``; the one
+        frame that is written as a picture, for which only the frames that it needs are decoded; the number of frames at
+        each end that keep every bit; and the interpolation between frames.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""Clips: videos and image sequences, opened, and streamed through the deformations of a recipe."""
+"""Clips, that is videos and image sequences: opening them, and streaming their frames through deformations."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def open_clip(
     count: int | None = None,
     target: PathLike | None = None,
 ) -> Iterator[Clip]:
-    """Open a video file, or an image sequence by its pattern or folder; ``target`` is what is written of it, if any."""
+    """Open a video file, or an image sequence by its pattern or folder; ``target`` is the output, if any."""
     pictures = is_sequence(source) and not os.path.isfile(source)
     if pictures or (rate is None and suffix_of(source) == ".webp" and is_animated(source)):
         from supple.media import sequence
@@ -76,10 +76,10 @@ def open_clip(
 def numbering_of(source: PathLike, *, first: int | None = 0, rate: float | Fraction | None = None) -> Numbering:
     """Return the numbers and the timecodes of a clip's frames, from the number of the ``first`` one.
 
-    Without that, it is the number in the name of a sequence's first picture; SuppleError if it has none.
+    If ``first`` is None, it is the number in the name of a sequence's first picture; SuppleError if there is none.
     """
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # given when it is warped
+        warnings.simplefilter("ignore")  # warnings are given when it is warped
         with open_clip(source, rate=rate) as clip:
             if first is None and (first := getattr(clip, "first", None)) is None:
                 raise SuppleError(f"{clip.name} has no numbers in its names: give {argument('first_frame')} a number")
@@ -133,7 +133,7 @@ def warp(job: Job, tell: Tell) -> Warped:
 
 
 def counted_anew(source: PathLike, use: Callable[[int | None], T]) -> T:
-    """Return ``use(None)``; or ``use(count)``, if a container is wrong about the number of frames (`CountError`)."""
+    """Return ``use(None)``; or ``use(count)``, if the container states a wrong number of frames (`CountError`)."""
     try:
         return use(None)
     except CountError as miscounted:
@@ -145,7 +145,7 @@ def counted_anew(source: PathLike, use: Callable[[int | None], T]) -> T:
 
 
 def bent_of(clip: Clip, options: ClipOptions) -> range:
-    """Return the frames that are bent; SuppleError for others than the clip has, or if all are held."""
+    """Return the range of frames to bend; SuppleError if the clip does not have them, or all are held."""
     last, one = clip.count - 1, options.frame
     if 2 * options.hold > last:
         raise SuppleError(
@@ -187,7 +187,7 @@ def _written(job: Job, clip: Clip, deformations: tuple[Deformation, ...], bent: 
         done, copied = Done(Certificate(0.0, 0.0), still=clip.count), clip.count
     else:
         tell("write", 0, clip.count)
-        # The writer first: its errors come before any work.
+        # Open the writer first, so that its errors come before any work.
         with _writer(clip, job) as sink:
             done = run(clip, sink, work, memory=known.memory, tell=tell)
             warn_of(done.certificate, sampling.tolerance, 3)  # before the target is renamed
@@ -206,7 +206,7 @@ def _written(job: Job, clip: Clip, deformations: tuple[Deformation, ...], bent: 
 
 
 def _warn_of_none(recipe: Recipe, clip: Clip) -> None:
-    """Warn that strokes that move something do not in this clip."""
+    """Warn that no stroke has an effect in this clip."""
     able = (each for each in recipe.strokes if each.strength and not each.hidden and not each.is_still)
     if recipe.amount and any(able):
         text = f"no stroke moves a pixel of any frame of {clip.name}: its frames are as they were"
@@ -249,7 +249,7 @@ def check(job: Job) -> None:
 
 
 def _check_shot(options: ClipOptions) -> None:
-    """Raise SuppleError for an invalid part of a clip."""
+    """Raise SuppleError for invalid options on frames."""
     for name in ("frame", "hold", "first_frame"):
         if (value := getattr(options, name)) is not None:
             integer(name, value, "a whole number from 0", 0, LONGEST_AXIS)
@@ -265,7 +265,7 @@ def _check_shot(options: ClipOptions) -> None:
 
 
 def refuse_encoding(options: ClipOptions, target: PathLike, what: str) -> None:
-    """Raise SuppleError for options of encoders, where no video is written."""
+    """Raise SuppleError for options of encoders if the target, ``what``, is not a video."""
     for option in _ENCODING:
         if getattr(options, option) is not None:
             raise SuppleError(f"{argument(option)} is for videos, and {shown(target)} is {what}: leave it out")
@@ -305,9 +305,9 @@ def deformation_of(
     display: tuple[int, int, int, int] | None = None,
     hold: int = 0,
 ) -> Deformation:
-    """Return a recipe on a clip: strokes with a time warp the clip, those without one warp each of its frames.
+    """Return the deformation of a clip by a recipe: strokes with a time warp the clip, others each frame alike.
 
-    Points count in the part ``display`` of frames, as in `supple.media.base.Clip`; ``hold`` is as in `ClipOptions`.
+    Points are relative to the ``display`` window, as in `supple.media.base.Clip`; ``hold`` is as in `ClipOptions`.
     """
     known = recipe.time_scale if time_scale is None else length("time_scale", time_scale)
     worth = 1.0 if known is None else known
@@ -326,7 +326,7 @@ def deformation_of(
 
 
 def with_ends(recipe: Recipe, hold: int, shape: tuple[int, ...], worth: float) -> Recipe:
-    """Return a recipe in time whose mask freezes some frames at each end, of frames that count as ``worth`` pixels."""
+    """Return a recipe in time with a mask that freezes ``hold`` frames at each end; a frame is ``worth`` pixels."""
     widths = Domain(shape, (1.0, 1.0, worth), recipe.border).border_widths
     ends = fade_of(shape, hold, None if widths is None else widths[2] / worth)
     strokes = (
@@ -337,13 +337,13 @@ def with_ends(recipe: Recipe, hold: int, shape: tuple[int, ...], worth: float) -
 
 
 def fade_of(shape: tuple[int, ...], hold: int, width: float | None = None) -> Freeze:
-    """Return a mask along time alone, of a clip of a shape (T, H, W): the frames held at each end are frozen.
+    """Return a mask for a clip (T, H, W) that varies along time alone, and freezes ``hold`` frames at each end.
 
-    ``width`` is that of the fade beside them, in frames: by default a tenth of the clip, as that of a border.
+    ``width`` is the length of the fade beside them in frames, by default a tenth of the clip, as for a border.
     """
     frames = np.arange(shape[0])
     away = np.minimum(frames, frames[::-1]) - hold
-    # The spline that smooths these averages three frames: it adds one on either side.
+    # The spline averages three frames, which widens the fade by one frame on either side.
     part = np.clip(away / (max(4.0, AUTO * len(frames) if width is None else width) - 2), 0, 1)
     ramp = (part**2 * (3 - 2 * part)).reshape(-1, 1, 1)
     return replace(Freeze.matte_of(ramp, len(frames)), samples=shape[::-1])
@@ -351,7 +351,7 @@ def fade_of(shape: tuple[int, ...], hold: int, width: float | None = None) -> Fr
 
 @lru_cache(maxsize=4)
 def parts_of(count: int, hold: int) -> tuple[float, ...]:
-    """Return the part of its strength that a stroke without a time has in each frame, as some are held at each end."""
+    """Return the strength, 0 to 1, in each frame of strokes without a time, if frames are held at each end."""
     return tuple(map(float, fade_of((count, 1, 1), hold).at([[0], [0], np.arange(count)]).ravel()))
 
 
@@ -365,9 +365,9 @@ def deformations_of(
     hold: int = 0,
     bent: range | None = None,
 ) -> tuple[Deformation, ...]:
-    """Return a recipe on a clip: one deformation, or one for each frame, if its strokes move or fade.
+    """Return the deformations of a clip by a recipe: one, or one for each frame if its strokes move or fade.
 
-    ``hold`` is as in `ClipOptions`; of frames that are not ``bent``, the deformation may be any.
+    ``hold`` is as in `ClipOptions`; deformations of frames that are not ``bent`` are not used, and arbitrary.
     """
     count, shape, name = clip.count, clip.layout.shape, clip.name
     if recipe.straighten is not None:
@@ -380,7 +380,7 @@ def deformations_of(
 
 
 def between_frames(sampling: Sampling, options: ClipOptions) -> Sampling:
-    """Return the sampling of a clip with the options of time: by default, samples follow motion, if OpenCV is there."""
+    """Return ``sampling`` with the options for time: by default, samples follow motion if OpenCV is installed."""
     between = options.between
     if sampling.filter == "labels":
         refuse("filter", '"auto", "cubic", "linear" or "nearest" for a clip', sampling.filter)
@@ -390,7 +390,7 @@ def between_frames(sampling: Sampling, options: ClipOptions) -> Sampling:
 
 
 def sampling_of(clip: Clip, sampling: Sampling = DEFAULT) -> Sampling:
-    """Return sampling options for a clip's frames, with the fill value in its components."""
+    """Return sampling options for a clip's frames, with the fill value converted to its components."""
     layout = clip.layout
     if sampling.linear_light and (len(layout.groups) > 1 or layout.dtype.kind == "f" or any(layout.black)):
         raise SuppleError(
@@ -426,16 +426,16 @@ def _filled(clip: Clip, fill: float | Sequence[float]) -> tuple[float, ...]:
 
 
 def streamed(clip: Any, work: Work, plan: Plan, memory: float) -> Iterator[tuple[int, list[Array], Certificate]]:
-    """Yield the frames of a plan, as `stream` does: the clip is read from the first that they need to the last."""
+    """Yield the frames of a plan, as `stream` does; only the frames of the clip that they need are read."""
     first = int(plan.keep[0]) if plan.planes else 0
-    frames: Iterable[Frame] = islice(clip.frames(), first, None)  # of a sequence, files are read where they are copied
+    frames: Iterable[Frame] = islice(clip.frames(), first, None)  # files are only read when copied
     if first and hasattr(clip, "frames_from"):
         frames = (frame for _, frame in clip.frames_from(first))
     yield from stream(work, plan, frames, memory=memory, first=first)
 
 
 def work_on(clip: Clip, deformations: Sequence[Deformation], sampling: Sampling) -> Work:
-    """Return the work on the frames of a clip: of one deformation, or of one for each."""
+    """Return the work on the frames of a clip, with one deformation, or one for each frame."""
     space = replace(deformations[0].space, count=clip.count)
     if len(deformations) == 1:
         return Work(space, clip.layout, sampling)
@@ -444,13 +444,13 @@ def work_on(clip: Clip, deformations: Sequence[Deformation], sampling: Sampling)
 
 
 def displayed(rotation: float, mirrored: bool) -> str:
-    """Return what players do to the frames of a video; empty if nothing."""
+    """Return, in words, how players mirror and rotate the frames of a video; empty if they do not."""
     turn = f"turned by {abs(rotation):g}° {'clockwise' if rotation < 0 else 'counterclockwise'}" if rotation else ""
     return " and ".join(filter(None, ("mirrored" if mirrored else "", turn)))
 
 
 def warn_of_display(clip: Clip) -> None:
-    """Warn that points are those of stored frames, if players turn these."""
+    """Warn that points refer to stored frames, if players mirror or rotate these."""
     if how := displayed(clip.rotation, clip.mirrored):
         height, width = clip.layout.shape
         what = f"is {how} when it is played: points are in the frame as it is stored, {width} x {height}"
@@ -458,7 +458,7 @@ def warn_of_display(clip: Clip) -> None:
 
 
 def warn_of_frames(clip: Clip, deformations: Sequence[Deformation]) -> None:
-    """Warn that points are those of stored frames, if players turn these; and that fields are bent together."""
+    """Warn that points refer to stored frames if players rotate these, and that interlaced fields are bent together."""
     if all(each.is_identity for each in deformations):
         return
     warn_of_display(clip)
@@ -479,13 +479,13 @@ def motion_of(
     hold: int = 0,
     bent: range | None = None,
 ) -> tuple[Deformation, ...]:
-    """Return the deformation of each frame, of a recipe whose strokes have keys or fade, and which fits the frames.
+    """Return the deformation of each frame for a recipe whose strokes have keys or fade.
 
-    Frames that are alike share one. A stroke that moves may leave the picture; what is known of a stroke in many frames
-    is one warning, that of the first of them, or an OutsideWarning if it begins outside in every frame. ``shape`` has
-    the rows and columns of a frame; ``tell`` is called with ``"plan"``, the number of frames that are planned, and
-    ``count``. Errors are those of `Deformation.from_recipe`, with the frame. ``hold`` is as in `ClipOptions`; of frames
-    that are not ``bent``, the deformation is the identity.
+    The recipe must fit the frames, whose ``shape`` is (rows, columns). Equal frames share one deformation; frames that
+    are not ``bent`` have the identity. Strokes with keys may leave the picture, with an OutsideWarning if they start
+    outside it in every frame; of equal warnings in several frames, only the first is given. ``tell`` is called with
+    ``"plan"``, the number of planned frames, and ``count``. ``hold`` is as in `ClipOptions`. Errors are those of
+    `Deformation.from_recipe`, with the frame.
     """
     for matte in (stroke.matte for stroke in recipe.strokes):
         if matte is not None and matte.ndim == 3 and matte.samples[2] != count:
@@ -524,7 +524,7 @@ def motion_of(
 def _check_places(
     recipe: Recipe, moving: Iterable[int], seen: Iterable[Sequence[Stroke]], count: int, shape: tuple[int, int]
 ) -> None:
-    """Warn of strokes that do not move in this clip, or are never in the picture."""
+    """Warn of strokes whose keys are all outside this clip, or which are never in the picture."""
     (height, width), seen = shape, list(seen)
     for i in sorted(moving):
         stroke, which = recipe.strokes[i], f"stroke {i + 1}"

@@ -1,4 +1,4 @@
-"""Faces of pictures: their landmarks, from files or found, and the strokes that adjust them."""
+"""Faces in pictures: their landmarks, from files or by detection, and the strokes that adjust them."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ from supple.strokes import Stroke
 
 ADJUSTMENTS = ("slim", "eyes", "smile", "nose", "jaw")
 """The adjustments of a face, in percent."""
-_MODULES = ("dlib", "face_recognition_models")  # whose wheels have the program, and its models
-_LONGEST = 1600  # pixels of the picture in which faces are looked for
-_LEAST = 0.3  # score of a detection
-_RADIUS = 0.3  # of the brush, in distances of the eyes, as all that follow
-_AROUND = 0.45  # how far beyond the outline of the face nothing moves
-_APART = 0.03  # between handles
-_CHIN = 1.8  # below the eyes, where no landmark says it
+_MODULES = ("dlib", "face_recognition_models")  # the packages of the detector and of its models
+_LONGEST = 1600  # pixels on the longest side of the picture in which faces are detected
+_LEAST = 0.3  # the lowest accepted score of a detection
+_RADIUS = 0.3  # of the brush; this and the next three are in distances between the eyes
+_AROUND = 0.45  # from the outline of the face to the pins around it
+_APART = 0.03  # the smallest distance between handles
+_CHIN = 1.8  # below the eyes, if there is no landmark for it
 _EYES = tuple(f"{side}_eye_{end}" for side in ("left", "right") for end in ("inner", "outer", "top", "bottom"))
 _PAIRS = {"mouth": ("mouth_left", "mouth_right"), "nose": ("nose_left", "nose_right")}
 _FIXED = (
@@ -47,11 +47,11 @@ def faces_of(picture: PathLike, landmarks: PathLike | None = None) -> tuple[Face
     Parameters
     ----------
     picture : str or os.PathLike
-        A picture. Landmarks count in it as it is shown upright, as strokes do.
+        A picture. Landmarks are in pixels of the upright picture, as strokes are.
     landmarks : str or os.PathLike, optional
-        Their file; or a folder, which has a file with the picture's stem; or a name in which ``*`` stands for that.
-        By default, the file of that stem beside the picture; without one, faces are found, if the extra ``face`` is
-        installed: by dlib's detector of frontal faces, and its model of 68 landmarks.
+        Their file; or a folder with a file of the picture's stem; or a name in which ``*`` stands for that stem. By
+        default, the file of that stem beside the picture; without one, faces are detected, if the extra ``face`` is
+        installed, by dlib's detector of frontal faces and its model of 68 landmarks.
 
     Returns
     -------
@@ -85,12 +85,12 @@ def landmarks_file(picture: PathLike, landmarks: PathLike | None = None) -> Path
 
 
 def can_find() -> bool:
-    """Return whether what finds faces is installed."""
+    """Return whether the packages that detect faces are installed."""
     return all(find_spec(module) is not None for module in _MODULES)
 
 
 def _found(picture: PathLike) -> tuple[Face, ...]:
-    """Return the faces that are found in a picture."""
+    """Return the faces that are detected in a picture."""
     name = shown(picture)
     if not can_find():
         raise SuppleError(
@@ -129,10 +129,10 @@ def _models() -> tuple[Any, Any]:
 
 
 def face_stroke(face: Face, *, place: int = 1, size: tuple[int, ...] | None = None, **percents: float) -> Stroke:
-    """Return the pull of all landmarks of a face that adjusts it; those that do not move are pins.
+    """Return a pull of a face's landmarks that adjusts the face; landmarks that do not move are pins.
 
-    Beyond the outline of the face, pins hold the background. Lengths follow from the distance of the eyes, and
-    directions from them and the chin, so that a tilted face is adjusted alike.
+    More pins hold the background around the outline of the face. Lengths are in proportion to the distance between the
+    eyes, and directions follow from the eyes and the chin, so that tilted faces are adjusted in the same way.
 
     Parameters
     ----------
@@ -141,14 +141,13 @@ def face_stroke(face: Face, *, place: int = 1, size: tuple[int, ...] | None = No
     place : int
         Which face of the picture it is, for the stroke's name.
     size : (int, int), optional
-        The width and height of the picture: what lies on its edge or beyond is left out.
+        The width and height of the picture: landmarks on its edge or beyond are dropped.
     slim, jaw : float
-        At 100, the face becomes slimmer by half of its width, from the cheeks to the chin; and the jaw wider by half of
-        its.
+        At 100, ``slim`` narrows the face from the cheeks to the chin by half its width; ``jaw`` widens the jaw by half.
     eyes, nose : float
-        By how many percent the eyes get larger; the nose wider.
+        The percentage by which the eyes become larger, and the nose wider.
     smile : float
-        How far the corners of the mouth go up, in percent of half its width, and out, by half as much.
+        How far the corners of the mouth move up, in percent of half its width; they move outwards by half of that.
 
     Raises
     ------
@@ -175,13 +174,13 @@ def face_stroke(face: Face, *, place: int = 1, size: tuple[int, ...] | None = No
     across, centre = (left - right) / unit, places.get("nose_bridge", (left + right) / 2)
     down = np.array([-across[1], across[0]])
     below = next((places[name] for name in ("chin", "mouth", "mouth_bottom", "nose_tip") if name in places), centre)
-    down = -down if (below - centre) @ down < 0 else down  # the person's left is on the left: a mirrored picture
+    down = -down if (below - centre) @ down < 0 else down  # in a mirrored picture, the person's left is on the left
     middle = places.get("chin", centre + _CHIN * unit * down) - centre  # the way from the eyes to the chin
 
     def move(name: str) -> Floats:
         at = places[name]
         depth = (at - centre) @ down / (middle @ down)  # 0 at the eyes, 1 at the chin
-        aside = (at - centre - depth * middle) @ across  # from the middle of the face
+        aside = (at - centre - depth * middle) @ across  # the signed distance from the face's middle line
         if name in _EYES:
             return np.asarray(part["eyes"] * (at - places[name.rpartition("_")[0]]))
         if name in _PAIRS["mouth"]:
@@ -217,7 +216,7 @@ def face_stroke(face: Face, *, place: int = 1, size: tuple[int, ...] | None = No
 
 
 def adjusted(stroke: Stroke) -> tuple[int, dict[str, float]] | None:
-    """Return which face a stroke adjusts, and by what percentages, as its name says; None for another stroke."""
+    """Return the number of the face and the percentages in the name of an adjusting stroke; None for other strokes."""
     found = re.fullmatch(r"face (\d+): (.*)", stroke.name or "")
     if found is None:
         return None

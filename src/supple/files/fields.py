@@ -1,9 +1,9 @@
 """Files of displacement fields and affine maps: inverted, checked, composed, and converted between conventions.
 
-What is read has a ``convention``, by default what the file leaves no doubt about; what is written has that named
-``to``. ``image`` is the input (moving) image, which some conventions count in, and ``reference`` an image or a field
-whose grid the result gets. All outputs of a call appear together or not at all; existing ones are replaced with
-``force``. SuppleError if a file cannot be read, or an output cannot be written.
+``convention`` is that of files to read, by default inferred from the file; ``to`` is that of files to write. ``image``
+is the input (moving) image, whose grid some conventions need, and ``reference`` an image or a field whose grid the
+result gets. All outputs of a call appear together or not at all; existing ones are replaced with ``force``.
+SuppleError if a file cannot be read, or an output cannot be written.
 """
 
 from __future__ import annotations
@@ -40,51 +40,51 @@ from supple.space.geometry import Grid
 
 _MATRICES = (".txt", ".mat", ".lta", ".1d")
 _IMAGES = (".nii", ".nii.gz", ".nrrd", ".nhdr", ".mha", ".mhd", ".mif", ".mif.gz", ".mgz")
-# In NIfTI, in place of inf and NaN, which ITK reads there as 0: no error, no change of volume. No threshold for errors
-# takes the largest number for a small one. The exponential of the least number is 0: no volume at all is left.
+# In NIfTI, these replace inf and NaN, which ITK would read as 0: as no error, or no change of volume. The largest
+# float32 exceeds any threshold for errors. The exponential of the most negative one is 0, a volume of 0.
 _UNKNOWN_ERROR, _NO_LOGARITHM = float(np.finfo(np.float32).max), float(np.finfo(np.float32).min)
 
 
 class Input(NamedTuple):
-    """A file among those that are composed."""
+    """A file to be composed with others."""
 
     path: PathLike
     inverse: bool = False  # whether its inverse is applied
     convention: str | None = None
-    source: PathLike | None = None  # the image that it leads to, whose grid some conventions need
+    source: PathLike | None = None  # its input (moving) image, whose grid some conventions need
 
 
 @dataclass(frozen=True, slots=True)
 class Written:
-    """A file that was written, and its sources."""
+    """A written file of maps, and its sources."""
 
     sources: tuple[MapFile, ...]
     target: MapFile
     seconds: float
 
     def facts(self) -> dict[str, Any]:
-        """Return what is known, ready for JSON."""
+        """Return the facts on the output and its sources, ready for JSON."""
         read = [{"input": str(each.path), "inverse": each.inverse, **each.facts()} for each in self.sources]
         return {"output": str(self.target.path), "read": read, "written": self.target.facts(), "seconds": self.seconds}
 
 
 @dataclass(frozen=True, slots=True)
 class InvertedFile(Written):
-    """An inverse that was written."""
+    """A written inverse."""
 
-    counts: Mapping[str, int] | None  # of samples of each status, if one field was inverted
-    error: float | None  # the largest among those that are ok, in millimetres, if there are any
+    counts: Mapping[str, int] | None  # the number of samples of each status, if one field was inverted
+    error: float | None  # the largest among samples with the status ok, in millimetres; None without any
     tolerance: float  # in samples of the field
 
     def facts(self) -> dict[str, Any]:
-        """Return what is known, ready for JSON."""
+        """Return the facts on the inverse, ready for JSON."""
         found = {"counts": dict(self.counts) if self.counts else None, "error": self.error, "tolerance": self.tolerance}
         return {**Written.facts(self), **found}
 
 
 @dataclass(frozen=True, slots=True)
 class CheckedFile:
-    """A field that was checked, and the field that shall undo it."""
+    """A checked field, and the field that is meant to invert it."""
 
     source: MapFile
     inverse: MapFile | None
@@ -92,7 +92,7 @@ class CheckedFile:
     seconds: float
 
     def facts(self) -> dict[str, Any]:
-        """Return what is known, ready for JSON."""
+        """Return the facts on the check, ready for JSON."""
         report, known = self.report, asdict(self.report)
         del known["grid"]
         # JSON has no NaN
@@ -123,21 +123,21 @@ def invert_file(
 ) -> InvertedFile:
     """Invert a file of a field, of affine maps, or of several of these.
 
-    One field is inverted as `Field.invert` does, on its own grid or on that of the reference, which a B-spline needs;
-    several maps, as their inverses in reverse order, sampled as one field; affine maps alone, exactly. The inverse has
-    the convention of the source by default.
+    One field is inverted as in `Field.invert`, on its own grid or on that of the reference, which a B-spline requires.
+    Several maps are inverted by composing their inverses in reverse order, sampled as one field; affine maps alone are
+    inverted exactly. By default, the inverse has the convention of the source.
 
     Parameters
     ----------
     source, target, convention, to, reference, image, force
-        See above; for an affine map of FSL, the reference is the output image.
+        As in the module's docstring; for an affine map of FSL, the reference is the output image.
     tolerance : float
         As in `Field.invert`.
     error, status : str or os.PathLike, optional
-        Images of `Inverted.error` (float32) and `Inverted.status` (uint8), on the grid of the inverse; of one field. In
-        NIfTI, the largest float32 (3.4028235e38) stands in place of inf, which ITK reads there as 0.
+        Images of `Inverted.error` (float32) and `Inverted.status` (uint8) on the grid of the inverse, for one field. In
+        NIfTI, inf is written as the largest float32 (3.4028235e38), since ITK reads inf as 0.
     report : str or os.PathLike, optional
-        A JSON file of the figures.
+        A JSON file for `InvertedFile.facts`.
 
     Warns
     -----
@@ -166,7 +166,7 @@ def invert_file(
         points = " x ".join(map(str, fields[0].grid.sizes))
         text = f"the field of {shown(source)} is a B-spline, and its grid of {points} control points is too coarse for"
         raise SuppleError(f"{text} an inverse: give the image whose grid the inverse shall have (--reference)")
-    # The inverse leads to the image that the field is on.
+    # The inverse leads to the output image of the field, whose grid is the field's.
     here = read.grid if fields else wanted
     ndim = read.maps[0].ndim if read.maps else 3
     check_images(ndim, error=error, status=status)
@@ -202,7 +202,7 @@ def invert_file(
 
 
 def check_beside(path: PathLike, *sources: PathLike | None, force: bool) -> None:
-    """Raise SuppleError if an output beside the main one cannot be written, or is one of the files that are read."""
+    """Raise SuppleError if a secondary output cannot be written, or is one of the files that are read."""
     for source in sources:
         if source is not None and same_file(path, source):
             text = f"{shown(path)} is read: {argument('force', True)} does not replace it, so choose another name"
@@ -226,14 +226,14 @@ def check_file(
     Parameters
     ----------
     source, convention, image, force
-        See above; the convention is that of both files.
+        As in the module's docstring; the convention applies to both files.
     inverse : str or os.PathLike, optional
-        A file of a field that shall undo it.
+        A file with the field that is meant to invert it.
     map : str or os.PathLike, optional
-        The image for the logarithm of the Jacobian determinant, float32, as `Field.log_jacobian` returns it. In NIfTI,
-        the most negative float32 (-3.4028235e38) stands in place of NaN, which ITK reads there as 0.
+        An image for the logarithm of the Jacobian determinant, float32, as from `Field.log_jacobian`. In NIfTI, NaN is
+        written as the most negative float32 (-3.4028235e38), since ITK reads NaN as 0.
     picture : str or os.PathLike, optional
-        A PNG, SVG or PDF file for `supple.plot.fields.draw_check`, of a ``plane`` of a volume.
+        A PNG, SVG or PDF file for `supple.plot.fields.draw_check`; for a volume, it shows ``plane``.
     """
     began = time.perf_counter()
     outputs = [path for path in (map, picture) if path is not None]
@@ -278,10 +278,10 @@ def compose_files(
     reference: PathLike | None = None,
     force: bool = False,
 ) -> Written:
-    """Write one field of several maps, as `compose` makes it; a point of the output goes through the first one first.
+    """Compose several maps into one field, as `compose` does; the first map applies first to a point of the output.
 
-    By default, the convention is that of all inputs if it is one, or the only one of the suffix; the grid is that of
-    the first field. Warnings are those of `compose`.
+    By default, the convention is the common one of all inputs, else the only one of the suffix; the grid is that of the
+    first field. Warnings are those of `compose`.
     """
     began = time.perf_counter()
     if not inputs:
@@ -290,7 +290,7 @@ def compose_files(
     with replacing_together([target], force=force) as (place,):
         read: list[MapFile] = []
         moving: list[Grid | None] = []
-        here = wanted  # the grid of the image on the side of the output, as far as it is known
+        here = wanted  # the grid on the output side of the current map, None if unknown
         for each in inputs:
             there = optional_grid(each.source)
             source = there or (here if each.inverse else None)
@@ -307,7 +307,7 @@ def compose_files(
             moving.append(there)
             here = file.grid if each.inverse else there
         shared = {each.convention for each in read}
-        alike = len(shared) == 1 and shared != {"fsl-affine"}  # which holds no field
+        alike = len(shared) == 1 and shared != {"fsl-affine"}  # FLIRT's convention has no fields
         known, how = convention_out(target, to, shared.pop() if alike else None)
         grid = wanted or next((each.grid for each in read if each.grid is not None), None)
         if grid is None:
@@ -336,10 +336,10 @@ def convert_file(
     reference: PathLike | None = None,
     force: bool = False,
 ) -> Written:
-    """Write the maps of a file in another convention or format; by default, that which the target's suffix tells.
+    """Write the maps of a file in another convention or format, by default that of the target's suffix.
 
-    What is more than one affine map, or is written as an image, is sampled on the grid of the reference, if it is
-    given. STMaps count in the size of the image: by default, it is that of the map, with an OutsideWarning.
+    Fields and compositions are sampled on the grid of the reference, if it is given, and so is any map that is written
+    as an image. STMaps are relative to the size of ``image``, by default the map's, with an OutsideWarning.
     """
     began = time.perf_counter()
     if to is not None:
@@ -360,7 +360,7 @@ def convert_file(
         known, how = convention_out(target, to, None)
         parts = [Placed(each, name=shown(source)) for each in read.maps]
         maps = (compose(parts, wanted),) if as_field and wanted is not None else read.maps
-        if read.convention != known:  # of one STMap to another, it makes no difference
+        if read.convention != known:  # from STMap to STMap, the size cancels
             _warn_of_size(source, read.convention, moving, read.grid)
             _warn_of_size(target, known, moving, wanted or read.grid)
         write_maps(place, maps, known, source=moving, reference=wanted)
@@ -368,7 +368,7 @@ def convert_file(
 
 
 def _warn_of_size(path: PathLike, convention: str, source: object, grid: Grid | None) -> None:
-    """Warn of a size that is taken for granted: that of the picture that an STMap leads to, if it is not given."""
+    """Warn that the size of an STMap's source picture is assumed to be the map's, if it is not given."""
     if convention != "stmap" or source is not None or grid is None:
         return
     width, height = grid.sizes[:2]
@@ -378,7 +378,7 @@ def _warn_of_size(path: PathLike, convention: str, source: object, grid: Grid | 
 
 
 def doubt_of(read: MapFile, folded: int, cells: int) -> str:
-    """Return what a file may be instead, if it folds in more than a quarter of its cells; "" otherwise."""
+    """Return a remark that a file may have another convention, if more than a quarter of its cells fold; else ""."""
     if 4 * folded <= cells:
         return ""
     return f"is it of the convention {read.convention}, {read.known}? {argument('convention')} says another"

@@ -19,16 +19,16 @@ from supple.media.medium import opened
 from supple.space.freezing import Freeze
 from supple.space.geometry import Geometry, check_upright
 
-_COLOURED = 12  # of 255: lossy codecs give grey a little colour
+_COLOURED = 12  # the largest difference between channels, of 255, in grey of lossy codecs
 
 
 def read_freeze(path: PathLike, *, label: int | None = None, width: float | None = None) -> Freeze:
     """Read a freeze mask.
 
-    It is a grey picture, in which white is frozen, and grey in part; or a volume, of which all but 0 is frozen; or, in
-    a label map, one ``label``. ``width`` is that of the fade beside what is frozen, in pixels, or in millimetres of a
-    volume; `Freeze.of` has a default. SuppleError if it cannot be read, has colours, or does not hold the label; a
-    FreezeWarning if nothing is frozen in it.
+    The file is a grey picture, in which white is frozen, and grey in part; or a volume, in which all but 0 is frozen;
+    or a label map, in which one ``label`` is frozen. ``width`` is that of the fade beside the frozen region, in pixels,
+    or millimetres for a volume; by default as in `Freeze.of`. SuppleError if the file cannot be read, has colours, or
+    does not contain the label; a FreezeWarning if nothing is frozen.
     """
     if volume.is_volume(path):
         held = volume.read(path)
@@ -37,7 +37,7 @@ def read_freeze(path: PathLike, *, label: int | None = None, width: float | None
             raise SuppleError(f"{held.name} cannot be a freeze mask: it has several values for a voxel, or times")
         grid = held.grid
         samples, whole = np.asarray(held.samples), True
-        if held.scaling != (1, 0):  # rounded, since 0.1 times 10 is 1
+        if held.scaling != (1, 0):  # rounded, so that scaled integers stay integers
             samples = np.round(held.rescaled(), 5)
         place = () if held.geometry.convention == "array" else tuple(grid.matrix[:3].ravel().tolist())
         spacing = grid.spacing
@@ -55,15 +55,15 @@ def read_freeze(path: PathLike, *, label: int | None = None, width: float | None
 def write_freeze(
     path: PathLike, freeze: Freeze, shape: Sequence[int], geometry: Geometry | None = None, *, force: bool = False
 ) -> None:
-    """Write what a mask freezes in full, so that `read_freeze` returns such a mask, but for single samples at its edge.
+    """Write the fully frozen region of a mask; `read_freeze` returns such a mask, but for single samples at its edge.
 
-    It is a grey picture, white on black, of the last axes of a shape (H, W) or (T, H, W); or a volume, in which it is
-    1. SuppleError if the mask changes from frame to frame, or the file cannot be written.
+    For a shape (H, W) or (T, H, W), the file is a grey picture (H, W), white where it is frozen; otherwise a volume, 1
+    where it is frozen. SuppleError if the mask changes from frame to frame, or the file cannot be written.
     """
     if freeze.ndim == 3 and geometry is None:
         raise SuppleError("the freeze mask changes from frame to frame, and a picture holds one: save the recipe")
     frozen = freeze.shown(shape[-freeze.ndim :]) == 0
-    for axis, n in enumerate(frozen.shape):  # a mask that is read covers a sample more on each side
+    for axis, n in enumerate(frozen.shape):  # shrunk by a sample on each side, which reading adds
         row = np.arange(n)
         frozen = frozen & frozen.take(np.maximum(row - 1, 0), axis) & frozen.take(np.minimum(row + 1, n - 1), axis)
     if freeze.ndim == 2:
@@ -76,8 +76,8 @@ def write_freeze(
 def read_matte(path: PathLike, *, width: float | None = None) -> Freeze:
     """Read a matte of strokes (`Stroke.matte`): a picture, or a clip or an image sequence, which moves.
 
-    White is where they apply in full; grey counts, or opacity, if it varies. ``width`` is that of the fade inside of
-    what is white, in pixels, as in `Freeze`. SuppleError if it cannot be read, or has colours.
+    Strokes apply in full where it is white; the matte is opacity, if it varies, and otherwise grey. ``width`` is that
+    of the fade inside the white region, in pixels, as in `Freeze`. SuppleError if it cannot be read, or has colours.
     """
     name = os.fspath(path)
     if opened(path, "x.mp4" if os.path.isdir(path) else "").kind == "clip":
@@ -91,10 +91,10 @@ def read_matte(path: PathLike, *, width: float | None = None) -> Freeze:
 
 
 def _greys(clip: Clip) -> Iterator[npt.NDArray[np.float32]]:
-    """Yield the grey values of a clip's frames, or their opacity, from 0 to 1."""
+    """Yield the grey values of a clip's frames, or their opacity if they have it, from 0 to 1."""
     layout = clip.layout
     arrays = [np.empty((*group.shape, group.channels), layout.dtype) for group in layout.groups]
-    with contextlib.suppress(CountError):  # one of another length than the clip is refused
+    with contextlib.suppress(CountError):  # a wrong length is refused later
         for frame in clip.frames():
             frame.copy_to(arrays)
             if layout.groups[0].alpha:
@@ -108,7 +108,7 @@ def _greys(clip: Clip) -> Iterator[npt.NDArray[np.float32]]:
 
 
 def _grey(path: PathLike, what: str = "a freeze mask") -> npt.NDArray[np.generic]:
-    """Return the one channel of a picture."""
+    """Return the only channel of a picture, in its own dtype; SuppleError if it has colours."""
     pixels = image.read(path).pixels
     if pixels.ndim == 2:
         return pixels

@@ -1,4 +1,4 @@
-"""Grids of files: those that results are written on, and those that fields and affine maps refer to."""
+"""Grids from files: for outputs, and for fields and affine maps whose conventions need them."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from supple.space.checks import refuse
 from supple.space.geometry import Geometry, Grid
 
 _MOST = 1 << 40
-"""Samples of a result: beyond them, a spacing is a slip, and no disk the remedy."""
+"""The most samples of a result; beyond, the given spacing is surely a mistake."""
 
 
 def output_grid(options: GridOptions, grid: Grid) -> Grid:
-    """Return the grid of the output, of an input on ``grid``.
+    """Return the grid of the output for an input on ``grid``.
 
     SuppleError if the reference cannot be read, or is of another kind; or if the crop is not within the grid.
     """
@@ -86,7 +86,7 @@ def _stored_grid(path: PathLike, ndim: int) -> Grid:
 
 
 def warn_of_place(geometry: Geometry, name: str) -> None:
-    """Warn of a volume that does not say where it lies, where positions in space count."""
+    """Warn of a volume without a position in space, where positions are needed."""
     if geometry.convention == "array":
         text = (
             f"{name} does not say where its voxels lie in space: its first one is taken to lie at (0, 0, 0), and its "
@@ -95,10 +95,10 @@ def warn_of_place(geometry: Geometry, name: str) -> None:
 
 
 def grid_on(options: GridOptions | None, grid: Grid, name: str, maps: Sequence[Placed]) -> Grid | None:
-    """Return the grid of the output of a file, with maps; None if it is that of the input.
+    """Return the grid of the output for a file on ``grid`` and maps; None if it is that of the input.
 
-    SuppleError as in `output_grid`; or if a map has another number of axes; or if the grid, the fields and the input
-    lie apart, and no map brings them together.
+    SuppleError as in `output_grid`; or if a map has another number of axes; or if the grid, the fields and the input do
+    not overlap, even through the maps.
     """
     for each in maps:
         n = each.map.ndim
@@ -109,11 +109,11 @@ def grid_on(options: GridOptions | None, grid: Grid, name: str, maps: Sequence[P
     made = grid if options is None else output_grid(options, grid)
     if options is not None and options.reference is not None:
         check_path(reversed(maps), made, shown(options.reference), source=grid, name=name)
-    else:  # what is seen of the input itself may lead out of it, as one wishes
+    else:  # on the input's own grid, maps may lead out of the input
         check_path(reversed(maps), made, name)
     return None if made == grid else made
 
 
 def listed(numbers: object) -> str:
-    """Return numbers as the command line takes them."""
+    """Return numbers as text in the form of the command line."""
     return ",".join(f"{x:g}" for x in numbers) if isinstance(numbers, Sequence) else f"{numbers:g}"

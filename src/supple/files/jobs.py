@@ -1,4 +1,4 @@
-"""A warp from file to file: what is asked for, what is refused before any work, and the result."""
+"""A warp from file to file: its parameters, the checks before any work, and the result."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from supple.space.checks import integer, refuse
 from supple.space.geometry import Geometry, Grid
 from supple.strokes import Fit, Recipe
 
-# The module of a kind checks and warps it; it is loaded for such files alone, since readers take time.
+# The modules that check and warp each kind of file; imported when needed, since readers take time to import.
 _MODULES = {"picture": "supple.files.pictures", "clip": "supple.files.clips", "volume": "supple.files.volumes"}
 _SEEN: tuple[Kind, ...] = ("picture", "clip")
 OPTIONS: dict[str, tuple[object, tuple[Kind, ...]]] = {
@@ -36,14 +36,14 @@ OPTIONS: dict[str, tuple[object, tuple[Kind, ...]]] = {
     "clip": (ClipOptions(), ("clip",)),
     "volume": (VolumeOptions(), ("volume",)),
 }
-"""Options that are not for all kinds: their defaults, and the kinds that they are for."""
+"""Options that apply only to some kinds of files: their defaults, and these kinds."""
 
 
 @dataclass(frozen=True, eq=False)
 class Job:
-    """A file to warp to another one; parameters as in `supple.files.warp_file`.
+    """A warp of a file to another one; parameters as in `supple.files.warp_file`.
 
-    ``outside`` is the boundary mode of ``sampling`` if it was asked for, and None otherwise.
+    ``outside`` is the boundary mode of ``sampling`` if the caller gave one, and None otherwise.
     """
 
     source: PathLike
@@ -77,7 +77,7 @@ class Job:
 
     @cached_property
     def medium(self) -> Medium:
-        """The medium that the source is taken for."""
+        """The source with its kind."""
         axes = [*(each.ndim for each in self.recipe.strokes[:1]), *(each.map.ndim for each in self.maps[:1])]
         axes += [self.grid.ndim or 2] if self.grid is not None else []
         known, shot = self.volume, self.clip
@@ -94,7 +94,7 @@ class Job:
         )
 
     def check(self) -> Medium:
-        """Return what the source is; raise all errors that can be found before it is read."""
+        """Raise all errors that can be found before the source is read; return the source with its kind."""
         medium = self.medium
         if medium.kind != "volume":
             refuse_places(self.recipe, self.source)
@@ -157,13 +157,13 @@ def job_of(
     fill: float | Sequence[float] = 0.0,
     **given: Any,
 ) -> Job:
-    """Return a job on a volume or a store, whose ``options`` are those of volumes; others are those of `Job`."""
+    """Return a job on a volume or a store; ``options`` are those of volumes, ``given`` other parameters of `Job`."""
     sampling = Sampling(filter, tolerance, outside or "edge", fill)
     return Job(source, target, recipe, sampling, outside, volume=options or VolumeOptions(), **given)
 
 
 def asked(name: str, value: object) -> str:
-    """Return an option, or the first of several that is not at its default, as the reader gives it."""
+    """Return an option as the user writes it; of a group such as `ClipOptions`, the first that is not its default."""
     if not isinstance(value, ClipOptions | VolumeOptions):
         return argument(name, value) if isinstance(value, bool) else argument(name)
     usual = type(value)()
@@ -180,7 +180,7 @@ def refuse_places(recipe: Recipe, source: PathLike) -> None:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Warped:
-    """A file that was written.
+    """The result of a warp from file to file.
 
     Parameters
     ----------
@@ -189,8 +189,8 @@ class Warped:
     kind : str
         ``"picture"``, ``"clip"`` or ``"volume"``.
     deformations : tuple of Deformation
-        The strokes on the grid of the input; on the upright grid around a sheared volume (`Grid.upright`). Of a clip
-        whose strokes have no time, on the grid of a frame; if they move with the frames, one for each frame.
+        The strokes on the grid of the input, or on the upright grid around a sheared volume (`Grid.upright`). For a
+        clip without strokes in time, on the grid of a frame; if strokes move from frame to frame, one for each frame.
     tolerance : float
         The largest distance of a source point from T⁻¹(q), in pixels, voxels and frames.
     error : float
@@ -198,21 +198,21 @@ class Warped:
     frames : int
         The number of frames of a clip, or of the volumes of a series.
     still, copied, held : int
-        Of a clip: unchanged frames; those of them that were not encoded again, as their packets are those of the
-        source; and frames held at once.
+        For a clip, the numbers of unchanged frames; of frames whose packets or files were copied instead of encoded
+        again; and of frames in memory at once.
     geometry : Geometry, optional
-        The place of a volume's voxels.
+        The geometry of a volume.
     grid : Grid, optional
         The grid of the output, if it is not that of the input.
     own : Grid, optional
-        The grid of the input as it is shown, if it is not that of the deformation: an OpenEXR may have pixels beyond.
+        The grid to which points of the input refer, if not the deformation's, such as an OpenEXR's display window.
     folded, outside, unsolved : int
-        The numbers of the points solved at which a field folds, to which no point of a field's grid is mapped, and for
-        which no solution was found.
+        The numbers of solved points where a field folds; to which no point of a field's grid is mapped; and for which
+        no solution was found.
     between : str
-        The interpolation between frames; empty where no sample lies between them.
+        The interpolation between frames; empty if no sample lies between frames.
     background : float, optional
-        The true value of what lies outside of a volume, where none was asked for.
+        The scaled fill value outside a volume, if it was chosen automatically.
     """
 
     source: Path
@@ -241,13 +241,13 @@ class Warped:
 
     @property
     def arrivals(self) -> tuple[Arrival, ...]:
-        """For each stroke, the target of its point, and its position, in samples of the input."""
+        """For each stroke, the target of its point, and the position where it arrived, in samples of the input."""
         return arrivals_on(self.own, self.deformation.grid, self.deformation.arrivals)
 
     def report(self, frame: int = 0) -> Report:
         """Return the report on the strokes and the certified error, measured at every sample; this is slow.
 
-        Of strokes that move with the frames, ``frame`` is the one that is measured.
+        If strokes move from frame to frame, ``frame`` is the one that is measured.
         """
         most = len(self.deformations) - 1
         k = integer("frame", frame, f"from 0 to {most}", 0, most) if most else 0
@@ -258,5 +258,5 @@ class Warped:
 
 
 def arrivals_on(own: Grid | None, grid: Grid, arrivals: tuple[Arrival, ...]) -> tuple[Arrival, ...]:
-    """Return the arrivals of strokes on ``grid`` in samples of the grid of the input, if it is another one."""
+    """Return the arrivals of strokes on ``grid`` in samples of the input's grid ``own``, if that differs (not None)."""
     return arrivals if own is None else tuple(arrival.on(own, grid) for arrival in arrivals)

@@ -24,12 +24,12 @@ from supple.space.geometry import Floats, Geometry, Grid
 from supple.strokes import REACH, CoordinateSpace, Stroke
 
 _Way = Callable[[Floats], Floats]
-_ROUNDED = 2.0**-50  # of a coordinate, on its way from millimetres to voxels and back
+_ROUNDED = 2.0**-50  # the relative rounding error of a coordinate from millimetres to voxels and back
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Moved:
-    """The result of mapping points from a file to another.
+    """The result of mapping the points of a file.
 
     Lengths are in millimetres if there is a geometry; otherwise in the units of the deformation's spacing, which are
     pixels and frames if it is 1.
@@ -43,11 +43,10 @@ class Moved:
     displaced : float64 array, shape (N,)
         The displacement of each point.
     error : float64 array, shape (N,)
-        A bound on the distance of each point from where the map leads, as `Certified` has it; inf where no solution was
-        found.
+        A bound on the distance of each point from its true position, as in `Certified`; inf without a solution.
     outside : int
-        The number of points of the source beyond the outer faces of the voxels. They are mapped too, as T is defined
-        there.
+        The number of points of the source beyond the outer faces of the voxels. They are mapped too, as T is also
+        defined there.
     first_outside : str
         The first of these in the file: its label, or its number from 1, and its coordinates.
     unconverged : int
@@ -81,23 +80,23 @@ def move_points(
     Parameters
     ----------
     source, target : str or os.PathLike
-        Of one kind: .csv, .tsv, .txt; .fcsv; .mrk.json; or a mesh: .stl, .obj, .ply, .vtk (PolyData), .vtp; or
-        contours, a structure set .dcm. All but the coordinates is kept; a table also gets a column ``error_mm``, or
-        ``error_px`` without a geometry; normals of a mesh turn with its surface.
+        Both of one kind: .csv, .tsv, .txt; .fcsv; .mrk.json; or a mesh: .stl, .obj, .ply, .vtk (PolyData), .vtp; or
+        contours, a structure set .dcm. Everything but the coordinates is kept; a table gets a column ``error_mm``, or
+        ``error_px`` without a geometry; normals of a mesh are transformed with its surface.
     deformation : Deformation
         A deformation of an image, for which only x and y are mapped, of a clip, or of a volume.
     geometry : Geometry, optional
         The geometry of the volume; not for images and clips. If it is sheared, the deformation is on the upright grid
-        around it (`supple.files.volumes.deformation_of` makes it so).
+        around it, as from `supple.files.volumes.deformation_of`.
     reference : Grid, optional
-        The grid of the output, in whose samples its points are counted; by default, that of the input.
+        The grid of the output, whose indices are used for points of the output; by default, that of the input.
     inverse : bool
-        If False, by T, from the input to the output. If True, by T⁻¹, from the output back.
+        False maps by T, from the input to the output; True maps by T⁻¹, from the output to the input.
     convention : str, optional
         The coordinates of a table without a convention of its own: ``"LPS"`` or ``"RAS"``, in millimetres, or
         ``"index"``, in pixels, frames or voxels from 0. It must agree with that of the file, if there is one. By
-        default, indices; required for a table without a header, and for a mesh that does not say it as 3D Slicer's
-        do, if ``geometry`` has a position in space.
+        default, indices. It is required if ``geometry`` has a position in space, for a table without a header, and for
+        a mesh without a convention (3D Slicer's have one).
     refer_to : str or os.PathLike, optional
         For a structure set: the DICOM series that the result refers to, such as the bent one; by default, none.
     force : bool
@@ -125,13 +124,13 @@ def move_points(
         raise SuppleError(text)
     given = read.points[:, : deformation.ndim]
     within, told = _ways(deformation, geometry, known)
-    counted = reference is not None and known == "index"  # in samples of another grid on either side
+    counted = reference is not None and known == "index"  # indices refer to the output's own grid on one side
     own, seen = deformation.grid, reference or deformation.grid
     start = own.indices(seen.positions(given)) if counted and inverse else within(given)
     mapped = deformation.certified(start, inverse=inverse)
     end = mapped.points
     made = read.points.copy()
-    # added to the original, so that unchanged points keep every bit
+    # displacements are added to the original points, so that unchanged ones keep every bit
     if counted:
         made[:, : deformation.ndim] = told(end) if inverse else seen.indices(own.positions(end))
     else:
@@ -169,7 +168,7 @@ def _same(points: Floats) -> Floats:
 
 
 def _ways(deformation: Deformation, geometry: Geometry | None, known: str) -> tuple[_Way, _Way]:
-    """Return the map from points of a file to indices of a deformation, and back."""
+    """Return the functions from the points of a file to indices on a deformation's grid, and back."""
     if geometry is None or (known == "index" and not geometry.shear):
         return _same, _same
     place = deformation.grid.geometry(geometry.convention) if geometry.shear else geometry
@@ -179,7 +178,7 @@ def _ways(deformation: Deformation, geometry: Geometry | None, known: str) -> tu
 
 
 def _series(path: PathLike, source: PathLike) -> Volume:
-    """Return the DICOM series that contours are to refer to."""
+    """Return the DICOM series to which contours will refer."""
     if Path(source).suffix.lower() != ".dcm":
         raise SuppleError(f"{argument('refer_to')} is for structure sets of DICOM, and {shown(source)} is none")
     found = read_volume(path)
@@ -191,7 +190,7 @@ def _series(path: PathLike, source: PathLike) -> Volume:
 
 
 def warn_of_frame(source: PathLike, volume: Volume) -> None:
-    """Warn if contours of DICOM are of another frame of reference than a series: their millimetres are not the same."""
+    """Warn if DICOM contours have another frame of reference than a series, and so another origin of coordinates."""
     if Path(source).suffix.lower() != ".dcm" or volume.format != "DICOM" or not volume.header:
         return
     slices = volume.header if isinstance(volume.header, tuple) else (volume.header,)
@@ -202,10 +201,10 @@ def warn_of_frame(source: PathLike, volume: Volume) -> None:
 
 
 def _turned(read: PointFile, deformation: Deformation, points: Floats, axes: Floats, inverse: bool) -> Floats:
-    """Return the normals of a mesh after T, or T⁻¹: by the inverse transpose of its Jacobian, and as long as before.
+    """Return the normals of a mesh mapped by T, or T⁻¹: by the inverse transpose of the Jacobian; lengths are kept.
 
-    ``points`` are those of the mesh before T, in indices; the columns of ``axes`` are the steps of indices in the
-    convention of the mesh.
+    ``points`` are those of the mesh on the input side of T, in indices; the columns of ``axes`` are the steps of one
+    index in the coordinates of the mesh.
     """
     normals = read.normals
     if not len(normals) or deformation.is_identity:
@@ -226,7 +225,7 @@ def _turned(read: PointFile, deformation: Deformation, points: Floats, axes: Flo
 def read_landmarks(
     path: PathLike, geometry: Geometry, *, convention: str | None = None
 ) -> tuple[tuple[str, ...], Floats]:
-    """Return the names of the points of a file, or their numbers from 1, and their voxels in a volume, (N, 3).
+    """Return the names of a file's points, or their numbers from 1, and their indices in a volume, (N, 3).
 
     ``convention`` is as in `move_points`. SuppleError if the file cannot be read, or its coordinates do not fit the
     volume.
@@ -251,19 +250,18 @@ def read_pull(
     place: str | None = None,
     world: bool = False,
 ) -> tuple[Stroke, CoordinateSpace | None]:
-    """Return the stroke that pulls the points of a file to those of another, and their space if it is of millimetres.
+    """Return a stroke that pulls the points of a file to those of another, and its space if it is in millimetres.
 
     If all points of both files have different labels, they are matched by these; otherwise in order. A point that is
-    the same in both is a pin. If one is in LPS and the other in RAS, the stroke is in the first one's. ``convention``
-    is for those of the files that do not say it, and ``place`` is that of the volume that the points are for, as in
-    `Geometry`; None for images and clips. With ``world``, all strokes are in millimetres: a table that does not say of
-    which convention is then refused.
+    equal in both is a pin. If one file is in LPS and the other in RAS, the stroke is in the space of the first.
+    ``convention`` applies to files without their own; ``place`` is the convention of the volume's `Geometry`, None for
+    images and clips. With ``world``, all strokes are in millimetres: a table without a convention is an error.
     """
     start, end = read_points(source), read_points(target)
     if start.points.shape[1] != end.points.shape[1]:
         found = " and ".join(str(x.points.shape[1]) for x in (start, end))
         raise SuppleError(f"points of {start.name} and {end.name} must have as many numbers, found {found}")
-    said = "index" not in (start.convention, end.convention)  # a convention is then for neither, and must agree
+    said = "index" not in (start.convention, end.convention)  # both are in millimetres: `convention` must agree
     space, other = (
         _space(read, convention if said or read.convention == "index" else None, place, world) for read in (start, end)
     )
@@ -297,8 +295,8 @@ def read_pull(
 
 
 def _space(read: PointFile, asked: str | None, place: str | None, world: bool) -> str:
-    """Return the convention of a file of a pull."""
-    if read.points.shape[1] == 2:  # of a picture, or of each plane alike
+    """Return the convention of a file of points for a pull."""
+    if read.points.shape[1] == 2:  # points of a picture, or for all planes alike
         return convention_of(read, asked, None)
     if world and asked is None and read.told in ("", "names"):
         read = replace(read, told="world")
@@ -314,7 +312,7 @@ def _listed(point: Iterable[float]) -> str:
 
 
 def convention_of(read: PointFile, asked: str | None, place: str | None) -> str:
-    """Return the convention of the points of a file, for a volume of the convention ``place``; None without one."""
+    """Return the convention of a file's points; ``place`` is that of the volume's geometry, None without a volume."""
     if asked is not None:
         choice("convention", asked, ("LPS", "RAS", "index"))
     known, refused = asked or read.convention, f"cannot place {read.name}: it"

@@ -1,4 +1,4 @@
-"""Files of maps: what each convention holds, how it is known, and the grids and images that belong to them."""
+"""Files of fields and affine maps with their conventions, and the grids and images that belong to them."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ from supple.space.geometry import Grid, check_upright
 
 @dataclass(frozen=True, slots=True)
 class MapFile:
-    """A file of maps, as it was read or is written."""
+    """A file of maps that was read or will be written."""
 
     path: Path
     convention: str  # one of `supple.media.transforms.CONVENTIONS`
-    known: str  # how the convention is known: "as given", "from its intent code", ...
+    known: str  # how the convention was determined: "as given", "from its intent code", ...
     maps: tuple[Map, ...]  # in the order in which a point of the output goes through them
-    inverse: bool = False  # whether their inverse is taken, among those that are composed
+    inverse: bool = False  # whether the inverse is used in a composition
     written: bool = False
 
     @property
@@ -46,16 +46,16 @@ class MapFile:
 
     @property
     def grid(self) -> Grid | None:
-        """The grid of the samples of the first field; None of affine maps alone."""
+        """The grid of the first field; None for affine maps alone."""
         return next((own_grid(each) for each in self.maps if isinstance(each, Field)), None)
 
     @property
     def direction(self) -> str:
-        """Which way the numbers in the file lead; what is read is always a pull map."""
+        """The direction of the maps in the file; in memory, they are always pull maps."""
         return self.kind.affine if all(isinstance(each, Affine) for each in self.maps) else transforms.PULL
 
     def facts(self) -> dict[str, Any]:
-        """Return what is known of the file, ready for JSON."""
+        """Return the facts on the file, ready for JSON."""
         kind = self.kind
         facts = {"convention": self.convention, "known": self.known, "direction": self.direction}
         return {**facts, "holds": kind.holds, "space": kind.space, "units": kind.units, "maps": _facts_of(self.maps)}
@@ -64,7 +64,7 @@ class MapFile:
 def read_file(
     path: PathLike, convention: str | None = None, *, source: Grid | None = None, reference: Grid | None = None
 ) -> MapFile:
-    """Read a file of maps, and how its convention is known."""
+    """Read a file of maps, and determine its convention unless it is given."""
     known = transforms.convention_in(path) if convention is None else convention
     maps = read_maps(path, known, source=source, reference=reference)
     suffix = suffix_of(path)
@@ -74,7 +74,7 @@ def read_file(
 
 
 def lifted(maps: Sequence[Placed], convention: str | None, grid: Grid | None) -> list[Placed]:
-    """Return maps for an image on a grid: those of ITK's pictures, in the slice that a picture is as a volume."""
+    """Return maps for an image on a grid: if it is a volume of one slice, ITK's maps of pictures get a third axis."""
     if convention != "itk" or grid is None or grid.ndim != 3 or grid.shape[0] != 1:
         return list(maps)
     if not np.allclose(np.abs(grid.direction[2]), (0, 0, 1), atol=1e-6):
@@ -86,13 +86,13 @@ def lifted(maps: Sequence[Placed], convention: str | None, grid: Grid | None) ->
 
 
 def _lifted(flat: Map, grid: Grid) -> Map:
-    """Return a map of the plane as one of a slice, which leaves z as it is."""
+    """Return a map of pictures as one of a slice in a volume, which keeps z."""
     made = np.eye(4)
     if isinstance(flat, Affine):
         made[:2, [0, 1, 3]] = flat.matrix[:2]
         return Affine(made)
     made[:2, :2] = flat.grid.direction
-    count = 4 if flat.interpolation == "bspline" else 1  # coefficients that the slice lies amid
+    count = 4 if flat.interpolation == "bspline" else 1  # planes of coefficients around the slice
     step, first = grid.spacing[2], grid.origin[2] - (count - 1) / 2 * grid.spacing[2]
     place = Grid((count, *flat.grid.shape), (*flat.grid.spacing, step), (*flat.grid.origin, first), made[:3, :3])
     values = np.pad(flat.values, [(0, 0), (0, 0), (0, 1)])
@@ -100,9 +100,9 @@ def _lifted(flat: Map, grid: Grid) -> Map:
 
 
 def grid_of(path: PathLike | Any) -> Grid:
-    """Return the grid of a volume, a field in the file of a volume, or a picture; or of an image in memory.
+    """Return the grid of a volume, a field or a picture.
 
-    ``path`` is the name of the file, or an image of SimpleITK or nibabel.
+    ``path`` is a file, or an image of SimpleITK or nibabel in memory.
     """
     if (image := held(path)) is not None:
         return image.grid
@@ -116,12 +116,12 @@ def grid_of(path: PathLike | Any) -> Grid:
 
 
 def optional_grid(path: PathLike | None) -> Grid | None:
-    """Return the grid of an image, as `grid_of`, if one is given."""
+    """Return the grid of an image, as `grid_of` does; None for None."""
     return None if path is None else grid_of(path)
 
 
 def check_reference(read: MapFile, grid: Grid | None, path: PathLike | None) -> None:
-    """Raise SuppleError for the grid of a reference that has another number of axes than the maps."""
+    """Raise SuppleError if the grid of a reference has another number of axes than the maps."""
     if grid is not None and path is not None and any(each.ndim != grid.ndim for each in read.maps):
         kinds = ("picture", "volume")[:: 1 if grid.ndim == 2 else -1]
         raise SuppleError(
@@ -130,7 +130,7 @@ def check_reference(read: MapFile, grid: Grid | None, path: PathLike | None) -> 
 
 
 def convention_out(target: PathLike, to: str | None, otherwise: str | None) -> tuple[str, str]:
-    """Return the convention of a file to write, and how it is known."""
+    """Return the convention of a file to write, and how it was determined."""
     if to is not None:
         transforms.check_convention(to, "to")
         return to, "as asked"
@@ -143,7 +143,7 @@ def convention_out(target: PathLike, to: str | None, otherwise: str | None) -> t
 
 
 def only_field(read: MapFile) -> Field:
-    """Return the only field of a file."""
+    """Return the only field of a file; SuppleError if it holds anything else."""
     only = read.maps[0] if len(read.maps) == 1 else None
     if not isinstance(only, Field):
         if any(isinstance(each, Field) for each in read.maps):
@@ -155,9 +155,9 @@ def only_field(read: MapFile) -> Field:
 
 
 def check_images(ndim: int | None = None, **paths: PathLike | None) -> None:
-    """Raise SuppleError for names of no volume (of 3 axes), no picture (of 2), or neither, and of two files.
+    """Raise SuppleError for names of outputs that are not volumes (3 axes), pictures (2), or either (None).
 
-    The message has the argument's name.
+    ``.mhd`` is refused too, as its data are in a second file. The message has the argument's name.
     """
     from supple.media import image
     from supple.media.pictures import SUFFIXES_OUT
@@ -166,7 +166,7 @@ def check_images(ndim: int | None = None, **paths: PathLike | None) -> None:
         try:
             if path is None:
                 continue
-            if suffix_of(path) == ".mhd":  # outputs that appear together are one file each
+            if suffix_of(path) == ".mhd":  # each of several outputs must be one file
                 raise unwritable(path, "its data would be in a second file", "use .mha")
             if ndim == 2 or (ndim is None and suffix_of(path) in SUFFIXES_OUT):
                 image.check_target(path)
@@ -179,10 +179,10 @@ def check_images(ndim: int | None = None, **paths: PathLike | None) -> None:
 def check_written(
     path: PathLike, ndim: int, convention: str, grid: Grid | None, *, source: Grid | None, reference: Grid | None
 ) -> None:
-    """Raise SuppleError, before any work, for a name or a convention that holds no such map.
+    """Raise SuppleError, before any work, for a name or a convention that cannot hold such a map.
 
-    What is refused is known to the writer of each convention alone: it writes a map that changes nothing, a field of a
-    few samples of the grid, or an affine map without one, to a folder that is then removed.
+    Only the writer of each convention has these checks. So it writes an identity to a temporary folder: a field of a
+    few samples of the grid, or, without a grid, an affine map.
     """
     one: transforms.Content = np.eye(ndim + 1)
     if grid is not None:
@@ -198,10 +198,10 @@ def check_written(
 
 
 def write_image(path: PathLike, values: Array, grid: Grid | None, *, in_nifti: float | None = None) -> None:
-    """Write values of the samples of a grid as a volume or a picture.
+    """Write values on a grid as a volume or a picture.
 
-    ``in_nifti`` is written to NIfTI files in place of inf and NaN: ITK, and so SimpleITK, ANTs and 3D Slicer, reads
-    these as 0 there, but keeps them in all other formats.
+    In NIfTI files, ``in_nifti`` replaces inf and NaN, which ITK, and so SimpleITK, ANTs and 3D Slicer, reads as 0 from
+    NIfTI, but not from other formats.
     """
     assert grid is not None
     if in_nifti is not None and suffix_of(path).startswith(".nii"):

@@ -1,4 +1,4 @@
-"""Meshes and contours of files, in the voxels of a volume: to be rendered with it."""
+"""Meshes and contours from files in voxels of a volume, to be rendered with it."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ COLOURS = (
     (0.31, 0.66, 0.87), (0.95, 0.76, 0.31), (0.42, 0.75, 0.41), (0.82, 0.42, 0.65), (0.94, 0.54, 0.29),
     (0.56, 0.49, 0.76),
 )  # fmt: skip
-"""sRGB of meshes that have none, in turn."""
+"""sRGB colours for meshes without a colour, used in turn."""
 _FARTHEST = 1e7  # voxels
 
 
@@ -39,11 +39,11 @@ class MeshFile:
 
 
 def read_surfaces(given: Sequence[MeshFile], volume: Volume, convention: str | None = None) -> tuple[Surface, ...]:
-    """Return the surfaces and contours of files, in the voxels of a volume.
+    """Return the surfaces and contours of files, in voxels of a volume.
 
-    ``convention`` is that of the coordinates of files that do not say theirs: ``"LPS"`` or ``"RAS"`` in millimetres, or
-    ``"index"``. SuppleError if a file cannot be read, has neither faces nor lines, or cannot be placed in the volume;
-    OutsideWarning if no point of a file lies in it.
+    ``convention`` is that of files without their own: ``"LPS"`` or ``"RAS"`` in millimetres, or ``"index"``.
+    SuppleError if a file cannot be read, has neither faces nor lines, or cannot be placed in the volume; OutsideWarning
+    if none of a file's points lies in it.
     """
     if convention is not None:
         choice("convention", convention, ("LPS", "RAS", "index"))
@@ -64,7 +64,7 @@ def read_surfaces(given: Sequence[MeshFile], volume: Volume, convention: str | N
             warnings.warn(f"{text}: see whether its coordinates are of that volume", OutsideWarning, stacklevel=4)
         for part in parts:
             colour = each.colour or part.colour or COLOURS[len(made) % len(COLOURS)]
-            used = np.zeros(len(points), np.bool_)  # what nothing joins is not seen
+            used = np.zeros(len(points), np.bool_)  # points of no face or line are invisible
             for corners in (part.triangles, part.lines):
                 used[corners] = True
             order = np.cumsum(used) - 1

@@ -1,4 +1,4 @@
-"""The options of jobs on clips and volumes, and of the grid that a result is written on."""
+"""Options for jobs on clips and volumes, and for the grid of the output."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ class ClipOptions:
     time_filter : bool
         Whether pixels are averaged over time.
     time_scale : float, optional
-        The length of a frame in pixels, for the border and for strokes that are ``isotropic``: by default that of the
-        recipe, or 1.
+        The length of a frame in pixels, for the border and for ``isotropic`` strokes; by default that of the recipe,
+        or 1.
     rate : float or Fraction, optional
         Frames a second of an image sequence, which has no rate of its own; 24 by default.
     codec, preset, pixel_format : str, optional
@@ -39,17 +39,17 @@ class ClipOptions:
     crf : float, optional
         As in `supple.media.video.encode.writer`.
     memory : float
-        The bytes of memory for frames; frames beyond that go to a temporary file.
+        Bytes of memory for frames; frames beyond that go to a temporary file.
     frames : tuple of int, optional
-        The first and the last frame that are bent, counted from 0; the others are passed on as they are.
+        The first and the last frame to bend, counted from 0; all others are passed on unchanged.
     frame : int, optional
-        The one frame that is written, as a picture.
+        The only frame to write, as a picture.
     hold : int
-        The number of frames at each end that keep every bit. Strokes fade towards them, over a tenth of the clip or, of
+        The number of frames at each end that keep every bit. Strokes fade towards these over a tenth of the clip;
         strokes with a time, over the width of the border along time.
     first_frame : int, optional
-        The number of the first frame in warnings, 0 by default, and, where a video becomes pictures, in the name of the
-        first one, 1 by default.
+        The number of the first frame in warnings, by default 0; and in the name of the first picture, if a video is
+        written as pictures, by default 1.
     """
 
     between: str | None = None
@@ -74,19 +74,18 @@ class VolumeOptions:
     Parameters
     ----------
     world : bool
-        Whether the strokes' points are positions in space, in millimetres, in the file's own convention, rather than
-        indices.
+        Whether the points of strokes are positions in millimetres, in the file's own convention, and not indices.
     labels : bool or str
-        Whether values are labels, which are not interpolated: every voxel takes that of the nearest (True or
-        ``"nearest"``), or that of the largest share of its footprint (``"smooth"``). Integers only, which may be stored
-        as floats.
+        Whether values are labels, which are not interpolated: every voxel takes the label of the nearest voxel (True or
+        ``"nearest"``), or the one with the largest share of its footprint (``"smooth"``). Labels are integers, which
+        may be stored as floats.
     save_field : str or os.PathLike, optional
-        The file for the inverse displacement field, for SimpleITK, ANTs and 3D Slicer; beside a Zarr store, also
-        one of OME-Zarr (``.zarr``), for both directions.
+        A file for the displacement field of T⁻¹, for SimpleITK, ANTs and 3D Slicer; if the output is a Zarr store, also
+        an OME-Zarr (``.zarr``) with both directions.
     layout : RawLayout, optional
         The layout of a file without a header.
     series : str, optional
-        The DICOM series of a folder: its number in the list, or its UID.
+        The DICOM series in a folder: its number in the list, or its UID.
     irregular : str, optional
         ``"resample"`` accepts DICOM slices that are missing or unevenly spaced, as in `supple.media.volume.read`.
     """
@@ -104,28 +103,28 @@ class VolumeOptions:
 
     @property
     def label_filter(self) -> str:
-        """The filter of labels."""
+        """The filter for labels."""
         return "labels" if self.labels == "smooth" else "nearest"
 
 
 @dataclass(frozen=True, slots=True)
 class GridOptions:
-    """The grid that a picture or a volume is written on; by default, its own.
+    """The output grid of a picture or a volume; by default, that of the input.
 
     Parameters
     ----------
     reference : str or os.PathLike, optional
-        Another image, whose grid it is: of a volume, its place in space; of a picture, its size.
+        Another image, whose grid is used: a volume's position in space, a picture's size.
     crop : sequence of int, optional
         A part of the grid: the indices of its first sample, and its sizes, x first: ``(X, Y, W, H)``, or
-        ``(X, Y, Z, W, H, D)`` for volumes. The result equals that part of the whole, bit for bit.
+        ``(X, Y, Z, W, H, D)`` for volumes. The result equals that part of the whole result, bit for bit.
     resample : float or sequence of float, optional
         Another spacing over the same extent: in millimetres for volumes, in pixels of the input for pictures; one for
-        all axes, or one for each, x first. It comes after ``reference``, and before ``crop``. The grid of a sheared
+        all axes, or one for each, x first. It is applied after ``reference`` and before ``crop``. The grid of a sheared
         volume becomes upright.
     strokes : bool
-        Whether the strokes are on the grid of ``reference``, too, and not on that of the input: their voxels, the
-        border, and freeze masks. For volumes, in whose registration ``reference`` is the fixed one.
+        Whether strokes, the border and freeze masks are on the grid of ``reference``, too, and not on that of the
+        input. For volumes in a registration, whose fixed volume is ``reference``.
 
     Raises
     ------
@@ -162,7 +161,7 @@ class GridOptions:
 
     @property
     def ndim(self) -> int | None:
-        """The number of axes that the options tell; None if they tell none."""
+        """The number of axes, 2 or 3, that the options imply; None if they imply none."""
         if self.crop is not None:
             return len(self.crop) // 2
         return len(self.resample) if isinstance(self.resample, tuple) else None

@@ -1,4 +1,4 @@
-"""Pictures warped from file to file."""
+"""Warping pictures from file to file."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def warp(job: Job, tell: Tell) -> Warped:
     own = held = Grid((height, width) if layers is None else layers.shown)
     fitted = fit_recipe(job.recipe, own.sizes, job.fit, name)
     straighten, fitted = fitted.straighten, replace(fitted, straighten=None)
-    if layers is not None and layers.box != layers.display:  # points count from the display window's first pixel
+    if layers is not None and layers.box != layers.display:  # points are relative to the display window
         held = Grid((height, width), origin=layers.corner)
         fitted = fitted.placed([-x for x in layers.corner], held.sizes)
     deformation = Deformation.from_recipe(fitted, held, maps=maps, warn=False)
@@ -86,7 +86,7 @@ def warp(job: Job, tell: Tell) -> Warped:
     picture, found = warp_picture(picture, space, own_how, regridded=regrid is not None, **options)
     if layers is not None:
         arrays = [picture.pixels]
-        for array, how in zip(layers.arrays[1:], others, strict=True):  # outside of which is 0
+        for array, how in zip(layers.arrays[1:], others, strict=True):  # with the fill value 0
             how = replace(how, fill=0.0)
             arrays.append(warp_picture(Picture(array), space, how, regridded=False, **options)[0].pixels)
         layers = layers if regrid is None else layers.sized(picture.pixels.shape[:2])
@@ -103,6 +103,6 @@ def warp(job: Job, tell: Tell) -> Warped:
 
 
 def _format(path: PathLike) -> str:
-    """Return the name of the format that a name asks for."""
+    """Return the name of the image format of a file name's suffix."""
     known = OUT.get(Path(path).suffix.lower())
     return known.name if known is not None else ""

@@ -1,4 +1,4 @@
-"""Positions and lengths by what a picture shows: landmarks by name, and percent of a length of its own."""
+"""Positions and lengths relative to a picture: names of landmarks, and percentages of a length in it."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ _OFFSET = "+DX,DY in pixels or percent (nose_tip+0,10%, say)"
 
 @dataclass(eq=False)
 class Places:
-    """The positions and lengths that names and percentages of strokes stand for in a picture.
+    """A resolver of named positions and of lengths in percent, for the strokes of a picture.
 
-    A position is a landmark's name, of the largest face, or ``NAME@2`` of the second largest; with an offset,
-    ``+DX,DY``, if it has one. A percentage is of the shortest side of the picture, or of the distance of two positions.
+    A position is the name of a landmark of the largest face, or ``NAME@2`` of the second largest, with an optional
+    offset ``+DX,DY``. A percentage refers to the shortest side of the picture, or to the distance of two positions.
     """
 
     medium: Medium | None = None  # the picture; without one, positions and lengths are any, all of which differ
@@ -51,7 +51,7 @@ class Places:
         return faces_of(self.medium.path, self.landmarks)
 
     def chosen(self, place: int | None) -> list[tuple[int, Face]]:
-        """Return one face, 1 for the largest, or all of them, with their places."""
+        """Return one face, 1 for the largest, or all of them, as (number, face)."""
         if place is not None and not 1 <= place <= len(self.faces):
             assert self.medium is not None
             many = f"{len(self.faces)} faces" if len(self.faces) > 1 else "one face"
@@ -86,7 +86,7 @@ class Places:
         return min(n * step for n, step in zip(grid.sizes, grid.spacing, strict=True))
 
     def length(self, name: str, text: str, wanted: str) -> float:
-        """Return a length from text: a number, or a percentage, ``12%``; ``name`` is that of the option, for errors."""
+        """Return a length from text: a number, or a percentage, ``12%``; ``name`` is the option's name for messages."""
         bare, percent = text.strip().removesuffix("%"), text.strip().endswith("%")
         self.used |= percent
         self.scaled |= percent
@@ -99,7 +99,7 @@ class Places:
         return number * self.unit / 100 if percent else number
 
     def point(self, name: str, text: str) -> tuple[float, float]:
-        """Return a position from text: that of a landmark, with an offset if it has one."""
+        """Return a position from text: a landmark's, with an optional offset."""
         found = _POINT.fullmatch(text)
         offset = (found[3] or "0,0").split(",") if found else []
         if found is None or len(offset) != 2:
@@ -110,7 +110,7 @@ class Places:
         mark = plain(found[1])
         if self.medium is None:
             x = crc32(f"{mark}@{found[2]}".encode()) / 2**32
-            at = (x, x * x)  # of which no three are on one line, and none far away
+            at = (x, x * x)  # placeholders on a parabola: no three of them on a line
         else:
             ((_, face),) = self.chosen(int(found[2] or 1))
             if mark not in face:
@@ -124,7 +124,7 @@ class Places:
         return at[0] + dx, at[1] + dy
 
     def plain(self, name: str, text: str) -> str:
-        """Return the text of an option, with numbers in place of landmarks, and of a last length in percent."""
+        """Return the text of an option with landmarks, and a percentage at its end (--push), replaced by numbers."""
         ends = text.split(":")
         count = len(ends) if name in ("--grab", "--mirror") else len(ends) - 1 if name == "--push" else 1
         for k, part in enumerate(ends):
@@ -135,9 +135,9 @@ class Places:
         return ":".join(ends)
 
     def resolve(self, recipe: dict[str, Any]) -> None:
-        """Put numbers in place of landmarks and percentages in the JSON of a recipe."""
+        """Replace landmarks and percentages in the JSON of a recipe by numbers, in place."""
         own = recipe.pop("percent_of", None)
-        places = Places(self.medium, self.landmarks, self.percent_of or own)  # as its percentages are
+        places = Places(self.medium, self.landmarks, self.percent_of or own)  # the recipe's own unit of percentages
         strokes = recipe.get("strokes")
         for k, stroke in enumerate(strokes if isinstance(strokes, list) else ()):
             for key in [key for key in _RESOLVED if key in stroke] if isinstance(stroke, dict) else ():
@@ -147,7 +147,7 @@ class Places:
         self.used, self.scaled = self.used or places.used, self.scaled or places.scaled
 
     def _resolved(self, name: str, key: str, value: Any) -> Any:
-        """Return the value of a key with numbers; what is no text, or no list of some, is checked later."""
+        """Return the value of a key with texts replaced by numbers; other values are kept, and checked later."""
         inner = {"path": ("at",), "by": ("radius",), "also": ("pair",), "pair": ("at", "by")}.get(key)
         if inner and isinstance(value, list) and (len(inner) == 1 or len(value) == len(inner)):
             return [self._resolved(name, inner[k % len(inner)], each) for k, each in enumerate(value)]
@@ -156,7 +156,7 @@ class Places:
         return self.length(name, value, "a number, or a percentage") if key == "radius" else [*self.point(name, value)]
 
     def pull(self, source: str, target: str, brush: dict[str, Any]) -> Stroke | None:
-        """Return the pull of a picture's landmarks to others, matched by names; None if both are files of points."""
+        """Return the pull of landmarks to those of another file, matched by names; None if both are files of points."""
         names = [source, target]
         if not any(os.path.isdir(name) or "*" in name or _is_of_landmarks(name) for name in names):
             return None
@@ -167,8 +167,8 @@ class Places:
 
         start, end = (faces_of(self.medium.path, name)[0] for name in names)
         shared = [name for name in start if name in end]
-        shared = [name for name in shared if name.startswith("point_")] or shared  # no means of several
-        pairs = {start[name]: end[name] for name in shared}  # a point of several names is one
+        shared = [name for name in shared if name.startswith("point_")] or shared  # rather than means
+        pairs = {start[name]: end[name] for name in shared}  # a point with several names is used once
         if not pairs:
             raise SuppleError(
                 f"they have no landmark in common: {listing(list(start), 3)}, and {listing(list(end), 3)}"

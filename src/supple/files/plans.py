@@ -1,4 +1,4 @@
-"""The reads and writes of a warp in blocks, found from the header of an input: blocks, copies, bytes, memory."""
+"""The plan of a warp in blocks, computed from the input's header: its blocks, copies, bytes and memory."""
 
 from __future__ import annotations
 
@@ -30,25 +30,25 @@ from supple.space.geometry import Geometry, Grid
 from supple.strokes import fit_recipe
 
 TASK = 1 << 25
-"""Bytes of a block that a task writes, where chunks are smaller."""
-_TURNS = 4  # tasks of each thread, at least, so that none waits long for the last ones
-_PORTION = 1024  # blocks that are planned before they are written: neither waits for all the others
+"""The size in bytes of a task's block, where chunks are smaller."""
+_TURNS = 4  # the fewest tasks for each thread, so that none idles long at the end
+_PORTION = 1024  # blocks that are planned at a time, before they are written
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Source:
-    """An input that is warped block by block; no sample is read yet."""
+    """An input that will be warped block by block; no samples have been read."""
 
     name: str  # for messages
-    image: StoredImage  # what a store is, or what a file becomes
-    samples: Any  # an array or `Samples`: it is sliced
-    geometry: Geometry | None  # the place of a volume in space; None of a picture
-    scaling: tuple[float, float] = (1.0, 0.0)  # of a Zarr array, the attributes scale_factor and add_offset
-    background: float = 0.0  # the true value of what lies outside of a volume, by the scaling
+    image: StoredImage  # the store's image, or the one that a file is converted to
+    samples: Any  # an array or `Samples`, which is sliced
+    geometry: Geometry | None  # of a volume; None for a picture
+    scaling: tuple[float, float] = (1.0, 0.0)  # slope and intercept; a Zarr array's scale_factor and add_offset
+    background: float = 0.0  # the scaled fill value outside a volume
 
     @property
     def is_file(self) -> bool:
-        """True if it is no store."""
+        """True if it is a file, and not a Zarr store."""
         return isinstance(self.samples, Samples)
 
     @property
@@ -69,23 +69,23 @@ class Source:
 
 @dataclass(frozen=True, slots=True)
 class Planned:
-    """The work of a job, found without reading a sample; bytes are those of decoded samples."""
+    """The plan of a job, made without reading samples; bytes are those of decoded samples."""
 
-    shape: tuple[int, ...]  # of the output, of all axes
+    shape: tuple[int, ...]  # of the output, all axes
     dtype: str
-    block: tuple[int, ...]  # the shape of what a task writes
+    block: tuple[int, ...]  # the shape of a task's block
     blocks: int
     copied: int  # blocks that are copies, since no stroke reaches them
-    read: int  # bytes that are read, without copies: whole chunks, as often as they are read
+    read: int  # bytes to read, without copies; a chunk counts as often as it is read
     copied_bytes: int
-    tasks: int  # that a worker does at a time
-    memory: int  # bytes that these take: chunks, the part that is read, and the block
+    tasks: int  # tasks that run at a time
+    memory: int  # bytes in memory for these tasks: chunks, samples read, and the block
     size: int  # bytes of the output, with all levels
     error: float  # the error estimate from the checks of the map, in samples
 
 
 def plan_file(job: Job, running: Running | None = None, tell: Tell = lambda step, done, total: None) -> Planned:
-    """Plan the warp of a store, a volume or a picture to a store; if possible, its header alone is read."""
+    """Plan the warp of a store, a volume or a picture to a store; only the header is read, where possible."""
     opened = open_source(job)
     image, carried, item, chunks = opened.image, opened.carried, opened.image.dtype.itemsize, opened.samples.chunks
     warp = warp_on(opened, job)
@@ -117,10 +117,10 @@ def plan_file(job: Job, running: Running | None = None, tell: Tell = lambda step
 
 
 def open_source(job: Job) -> Source:
-    """Open an input as a picture or as a volume: as the points of the strokes say, or else as it says itself.
+    """Open an input as a picture or a volume, by the number of coordinates of the strokes, or else by its own axes.
 
-    SuppleError if it cannot be read, an option does not apply to it, or it has fewer axes of space than the strokes,
-    the maps or the grid.
+    SuppleError if it cannot be read; if an option does not apply to it; or if it has fewer axes of space than the
+    strokes, the maps or the grid.
     """
     known, source = job.volume, job.source
     if not is_store(source):
@@ -140,7 +140,7 @@ def open_source(job: Job) -> Source:
     n = _axes_of_space(job, len(image.spatial))
     image = image if n == len(image.spatial) else open_image(source, ndim=n)
     names, usual = [image.axes[axis].name.lower() for axis in image.spatial], list("zyx"[-n:])
-    if sorted(names) == sorted(usual) and names != usual:  # points are meant with x along the last axis
+    if sorted(names) == sorted(usual) and names != usual:  # the x of points is along the last axis
         what = f"its axes of space are {', '.join(names)}, in this order"
         raise unreadable(image.address, what, f"store them in the order {', '.join(usual)}, as OME-Zarr has them")
     geometry = None
@@ -148,7 +148,7 @@ def open_source(job: Job) -> Source:
         geometry = image.grid.geometry("LPS") if image.placed else Geometry()
     array = image.levels[0].array
     scaling = 1.0, 0.0
-    with contextlib.suppress(TypeError, ValueError):  # of what is no number
+    with contextlib.suppress(TypeError, ValueError):  # for attributes that are not numbers
         scaling = float(array.attrs.get("scale_factor", 1)), float(array.attrs.get("add_offset", 0))
     scaling = scaling if scaling[0] else (1.0, 0.0)
     fill = array.metadata.fill_value
@@ -167,7 +167,7 @@ def _axes_of_space(job: Job, found: int) -> int:
 
 
 def warp_on(source: Source, job: Job) -> Warp:
-    """Return a recipe on an input, ready to be planned; SuppleError if an option does not fit the input."""
+    """Return the warp of an input by a job's recipe, for planning; SuppleError if an option does not fit the input."""
     known, dtype, maps, sampling = job.volume, source.image.dtype, job.maps, job.sampling
     if job.grid is not None and job.grid.strokes:
         raise SuppleError(f"{argument('fixed')} is for files of volumes, and {source.name} is a store: leave it out")
@@ -203,10 +203,10 @@ def warp_on(source: Source, job: Job) -> Warp:
 def task_shape(
     block: Sequence[int], shape: Sequence[int], itemsize: int, carried: int, slots: int, limit: int | None = None
 ) -> tuple[int, ...]:
-    """Return the shape of what a task writes: whole blocks, several of them where they are small.
+    """Return the shape of a task's block: one block of the output, or several if they are small.
 
-    They grow along the axes of space first, the shortest before the others, since a task that has several of the
-    positions that are carried along reads no less for each.
+    It grows along the axes of space first, the shortest of them first: growing along the other axes would not reduce
+    the samples that are read for each block.
     """
     most = min((limit or TASK) / itemsize, math.prod(shape) / (_TURNS * slots))
     sizes = [min(a, b) for a, b in zip(block, shape, strict=True)]
@@ -218,10 +218,10 @@ def task_shape(
 def planned(
     warp: Warp, chunks: Sequence[Sequence[int]], runner: Runner, tell: Tell
 ) -> Iterator[tuple[list[Block], Certificate, bool]]:
-    """Yield blocks, some at a time, with the certificate of all so far, and whether they are the last.
+    """Yield lists of blocks, with the certificate of all blocks so far, and whether the list is the last.
 
-    They come in whole layers, blocks that have the same planes: whether a plane is a copy is known from all blocks of
-    its layer, and from no others.
+    A list holds whole layers, that is, all blocks with the same planes: whether a plane is a copy depends on all blocks
+    of its layer, and on no others.
     """
     boxes: list[Box] = []
     certificate, done, total = Certificate(0.0, 0.0), 0, math.prod(map(len, chunks))
@@ -237,7 +237,7 @@ def planned(
 
 
 def whole_chunks(part: Box, shape: Sequence[int], chunks: Sequence[int] | None) -> int:
-    """Return the number of samples of the chunks that a part meets."""
+    """Return the number of samples in the chunks that overlap a part."""
     if chunks is None:
         return math.prod(b - a for a, b in part)
     ends = [(a // n * n, min(-(-b // n) * n, size)) for (a, b), n, size in zip(part, chunks, shape, strict=True)]

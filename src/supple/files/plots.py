@@ -1,4 +1,4 @@
-"""Plots of files: the effect of strokes on an image or a video."""
+"""Plots of the effect of strokes on an image, a video or a volume."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from supple.strokes import Fit, Recipe, fit_recipe
 Colours = npt.NDArray[np.uint8]
 
 _COLUMNS = 6  # frames on a sheet
-_SEEN = 0.5  # pixels and frames
+_SEEN = 0.5  # pixels and frames: the smallest displacement that counts as visible
 
 
 def plot_file(
@@ -62,8 +62,8 @@ def plot_file(
     recipe : Recipe
         The strokes.
     what : str
-        One of `supple.plot.WHATS`; of a clip also ``"slice"``, a column or a row over time, and ``"sheet"``, some
-        frames before and after, from the range with displacements of half a pixel.
+        One of `supple.plot.WHATS`; for a clip also ``"slice"``, a column or a row over time, and ``"sheet"``, some
+        frames before and after the warp, from the range with displacements of at least half a pixel.
     frame : int, optional
         The frame of a clip to plot.
     x, y : int, optional
@@ -177,7 +177,7 @@ def plot_file(
 
 
 def _plot_volume(job: Job, target: PathLike, what: str, plane: str | None, force: bool) -> Deformation:
-    """Plot a deformation on a plane of a volume; of a series, the first one."""
+    """Plot a deformation on a plane of a volume; for a series, of its first volume."""
     from supple.files.volumes import deformation_of, is_of_labels, open_volume
     from supple.plot import volume as drawn
 
@@ -205,7 +205,7 @@ def _seen_best(clip: Any, deformations: Sequence[Deformation], options: ClipOpti
 
 
 def _shown(clip: Any, planes: Sequence[int]) -> Iterator[Colours]:
-    """Yield some unchanged frames of a clip, in RGB."""
+    """Yield the given frames of a clip, unwarped, in RGB."""
     wanted = set(planes)
     arrays: list[Array] = [np.empty((*g.shape, g.channels), clip.layout.dtype) for g in clip.layout.groups]
     for k, picture in enumerate(clip.frames()):

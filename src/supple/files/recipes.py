@@ -1,4 +1,4 @@
-"""Recipes as files of JSON."""
+"""Reading and writing recipes as JSON files."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _MEDIA = frozenset({*PICTURES, *CLIPS, *CLIPS_OUT, *VOLUMES, *VOLUMES_OUT})
 
 
 def is_media_name(path: PathLike) -> bool:
-    """Return whether a name has the suffix of an image, a video or a volume; with a trailing slash, it is a folder."""
+    """Return whether a name has the suffix of an image, a video or a volume, or ends with a slash, as a folder's."""
     return not os.fspath(path).endswith(("/", os.sep)) and suffix_of(path) in _MEDIA
 
 
@@ -31,10 +31,10 @@ def read_recipe(
     frames: Callable[[str, str], int] | None = None,
     resolve: Callable[[dict[str, Any]], None] | None = None,
 ) -> Recipe:
-    """Read a recipe from a JSON file; SuppleError, with the file and the fault, if it is none.
+    """Read a recipe from a JSON file; SuppleError, with the file and the fault, if it is invalid.
 
-    ``frames`` returns the frame, counted from 0, of a timecode, which may stand for a number; its first argument names
-    the file in messages. ``resolve`` is as in `Recipe.from_json`.
+    ``frames(file, timecode)`` converts a timecode, which may replace the number of a frame, to a frame from 0; its
+    first argument is for messages. ``resolve`` is as in `Recipe.from_json`.
     """
     name = shown(path)
     try:

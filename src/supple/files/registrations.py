@@ -1,4 +1,4 @@
-"""Registrations that strokes correct: fields and affine maps, and the strokes after them, written as one field."""
+"""Registrations corrected by strokes: fields and affine maps, followed by strokes, are written as one field."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def write_map(
     force: bool = False,
     tell: Tell = lambda step, done, total: None,
 ) -> MapFile:
-    """Write one field of all that leads from a point of the output to the point of a volume that is seen there.
+    """Write one field from each point of the output to its source point in a volume, through strokes and maps.
 
     Parameters
     ----------
@@ -38,7 +38,7 @@ def write_map(
     recipe : Recipe
         Its strokes come after the maps, and are on the grid of the field.
     to : str, optional
-        The convention, as of `Field.write`; by default, that which the suffix of ``target`` has.
+        The convention, as in `Field.write`; by default, that of the suffix of ``target``.
     maps, grid, volume : sequence of Placed, GridOptions, VolumeOptions
         As in `supple.warp_file`. The grid of the field is that of the reference; by default, that of the volume.
 

@@ -1,4 +1,4 @@
-"""Volume files rendered as images, and as turntables."""
+"""Rendering volume files as images and turntables."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ _OF_SCENE = ("density", "clip", "plane", "projection", "silhouettes", "shadows",
 _TABLE = ".ctbl"
 _LABEL_INTENT = 1002  # NIFTI_INTENT_LABEL
 _RATE = 24.0  # pictures a second
-LIGHTLESS = (".png", ".tif", ".tiff", ".webp", ".avif")  # formats that hold opacity
+LIGHTLESS = (".png", ".tif", ".tiff", ".webp", ".avif")  # formats with opacity, whose background may be transparent
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,19 +60,19 @@ class RenderOptions:
     clip : three of (float, float), optional
         The voxels that are rendered, as in `supple.render.scene.Scene`.
     crop : three of (float, float), optional
-        The voxels of the original that are rendered, where the strokes move them: `supple.render.appearance.cropped`.
+        The voxels of the unwarped volume that are rendered; strokes move them: see `supple.render.appearance.cropped`.
     plane, projection, silhouettes, shadows
         As in `supple.render.scene.Scene`.
     meshes : sequence of MeshFile
         Meshes and contours that are rendered with the volume, and move with it.
     convention : str, optional
-        The coordinates of those that do not say theirs, as in `supple.files.meshes.read_surfaces`.
+        The convention of meshes without their own, as in `supple.files.meshes.read_surfaces`.
     table : bool
-        Whether a preset of CT shows what lies apart from the body, too: `supple.render.appearance.without_table`.
+        Whether CT presets also show parts apart from the body: see `supple.render.appearance.without_table`.
     largest : bool
         Whether only the largest connected part of what is visible is rendered (`supple.render.appearance.largest`).
     camera : Camera
-        By default, all that is visible is in view.
+        The camera; by default, everything visible is in view.
     size : (int, int)
         Rows and columns of the image.
     step : float, optional
@@ -89,7 +89,7 @@ class RenderOptions:
     supersampling : int
         Rays along each side of a pixel.
     turntable : int, optional
-        The number of images of a turntable: as a video, or with a number in the name.
+        The number of images of a turntable, which is written as a video or as numbered images.
     rate : float, optional
         Images a second of that video; by default, 24.
     what : str
@@ -99,7 +99,7 @@ class RenderOptions:
     device : str
         ``"cpu"``, ``"gpu"`` or ``"auto"``; see `supple.render.scene.Scene`.
     save_transfer : str or os.PathLike, optional
-        The file for the transfer function that is used: ``.json``, or ``.vp`` for 3D Slicer; of labels, ``.ctbl``.
+        A file for the transfer function that is used: ``.json``, or ``.vp`` for 3D Slicer; for labels, ``.ctbl``.
     """
 
     transfer: Transfer | PathLike | None = None
@@ -160,10 +160,10 @@ class RenderOptions:
 
 
 def default_transfer(volume: Volume) -> Transfer | str:
-    """Return the preset for a volume's values: computed tomography is recognized by air at -1000 Hounsfield units.
+    """Return the preset for a volume's values, or the colours of its segments.
 
-    A label map is recognized by the intent code of a NIfTI file, or by its values: few integers from 0, in large areas.
-    Segments have the colours of their file; SuppleError if they are listed wrongly.
+    CT is recognized by air at -1000 Hounsfield units; a label map by the intent code of a NIfTI file, or by its values:
+    few integers from 0, in large areas. Segments have the colours of their file; SuppleError if their list is invalid.
     """
     if volume.is_segmentation:
         try:
@@ -185,7 +185,7 @@ def _is_of_labels(volume: Volume) -> bool:
     if volume.components != 1:
         return False
     if volume.format == "NIfTI" and int(volume.header["intent_code"]) == _LABEL_INTENT:
-        with contextlib.suppress(SuppleError):  # of what is no whole number
+        with contextlib.suppress(SuppleError):  # for values that are not integers
             labels_in(volume.rescaled())
             return True
     return is_of_labels(volume) and volume.samples.min() >= 0 and volume.scaling == (1.0, 0.0)
@@ -201,11 +201,10 @@ def scene_of(
     maps: Sequence[Placed] = (),
     reference: PathLike | None = None,
 ) -> Scene:
-    """Return the scene of a volume, with strokes, fields and affine maps if given: with maps, of the warped volume.
+    """Return the scene of a volume, with strokes if given. With maps, the volume itself is warped first.
 
-    With a ``reference``, the warped volume is on the grid of that one.
-
-    SuppleError if it has several components that are not colours, or an argument does not fit.
+    With a ``reference``, the warped volume is on its grid. SuppleError if the volume has several components that are
+    not colours, or an argument does not fit.
     """
     known = options or RenderOptions()
     samples = volume.rescaled()
@@ -237,7 +236,7 @@ def scene_of(
         raise SuppleError(f"with fields and affine maps, the volume is warped first: leave mode {known.mode} out")
     given = known.transfer if known.transfer is not None else default_transfer(volume)
     if known.projection != "none":
-        given = "grey"  # of which it has the values alone
+        given = "grey"  # projections show values alone
     transfer = given if isinstance(given, Transfer) else transfer_of(given)
     if isinstance(transfer, LabelColours):
         _check_labels(samples, transfer, volume.name)
@@ -277,7 +276,7 @@ def scene_of(
 
 
 def _check_labels(samples: Array, transfer: LabelColours, name: str) -> None:
-    """Raise SuppleError if a volume holds no labels, and warn of those without a colour."""
+    """Raise SuppleError if a volume's values are not labels; warn of labels without a colour."""
     if samples.ndim != 3:
         raise SuppleError(f"{name} holds colours, and a label map has one number for each voxel: use another transfer")
     try:
@@ -291,7 +290,7 @@ def _check_labels(samples: Array, transfer: LabelColours, name: str) -> None:
 
 
 def _saved(scene: Scene, path: PathLike, name: str) -> str:
-    """Return the text of a file for the transfer function that is used."""
+    """Return the contents of a file for a scene's transfer function, in the format of the suffix."""
     suffix, transfer = Path(path).suffix.lower(), scene.transfer
     if isinstance(transfer, LabelColours) and scene.labels is not None:
         if suffix != _TABLE:
@@ -360,7 +359,7 @@ def render_file(
         if os.path.exists(saved):
             try:
                 transfer_of(os.fspath(saved))
-            except SuppleError:  # a recipe, say
+            except SuppleError:  # for instance a recipe
                 told = f"{shown(saved)} is there, and no transfer function"
                 raise SuppleError(f"{told}: it is not replaced; give another name") from None
     given = open_volume(source, reading)
@@ -402,7 +401,7 @@ def render_file(
             tell("render", k + 1, count)
 
     with contextlib.ExitStack() as stack:
-        if known.save_transfer is not None:  # it appears with the pictures
+        if known.save_transfer is not None:  # written together with the pictures
             place = stack.enter_context(replacing(known.save_transfer, force=force))
             place.write_text(_saved(scene, known.save_transfer, given.name), encoding="utf-8")
         if not count:
@@ -430,7 +429,7 @@ def render_file(
 
 
 def _warn_of_view(picture: Rendering, known: RenderOptions, name: str) -> None:
-    """Warn of a camera that sees nothing, or nothing else than what it stands in."""
+    """Warn if nothing is in view, or if the camera is inside an opaque part."""
     if not picture.light[..., 3].any():
         told = "what is cut away, or where the camera looks, leaves it out"
         warnings.warn(f"nothing is seen of {name}: {told}", VolumeWarning, stacklevel=4)

@@ -1,4 +1,4 @@
-"""Zarr stores warped block by block: arrays larger than memory, on threads, processes or a cluster."""
+"""Warping Zarr stores block by block: arrays larger than memory, on threads, processes or a cluster."""
 
 from __future__ import annotations
 
@@ -39,34 +39,34 @@ from supple.strokes import Recipe
 
 Numbers = tuple[float, ...]
 
-_SIDE = 64  # voxels of the part that is looked at for labels
-_AT_ONCE = 4096  # tasks that wait at a time, each of which takes a few kilobytes
+_SIDE = 64  # voxels on a side of the part in which labels are detected
+_AT_ONCE = 4096  # tasks in the queue; each takes a few kilobytes
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WarpedStore:
-    """A Zarr store that was written."""
+    """The result of a warp to a Zarr store."""
 
     source: str
     target: str
-    deformation: Deformation  # the strokes, on the shape along the axes of space
-    geometry: Geometry | None  # the place of the voxels in space; None of a picture
+    deformation: Deformation  # the strokes, on the axes of space
+    geometry: Geometry | None  # of a volume; None for a picture
     tolerance: float  # the largest distance of a source point from T⁻¹(q), in samples
     error: float  # the error estimate from the checks of the map
-    shape: tuple[int, ...]  # of the output, of all axes
+    shape: tuple[int, ...]  # of the output, all axes
     levels: int
-    labels: tuple[str, ...]  # the label images that were bent with it
+    labels: tuple[str, ...]  # names of the label images that were warped with it
     blocks: int  # of the finest level
-    done: int  # blocks that were there already, from a job that was interrupted
-    copied: int  # blocks whose chunks were copied as they were compressed
-    read: int  # bytes that were read, uncompressed, without copies: whole chunks, as often as they are read
-    copied_bytes: int  # of the chunks that were copied, compressed
+    done: int  # blocks that an interrupted job had already written
+    copied: int  # blocks whose compressed chunks were copied
+    read: int  # decoded bytes that were read, without copies; a chunk counts as often as it was read
+    copied_bytes: int  # compressed bytes of the copied chunks
     grid: Grid | None = None  # of the output, if it is not that of the input
     folded: int = 0  # as in `supple.files.Warped`
     outside: int = 0
     unsolved: int = 0
-    field: SavedField | None = None  # that was saved beside it
-    background: float | None = None  # the value of what lies outside of the input, where none was asked for
+    field: SavedField | None = None  # the map that was saved with it
+    background: float | None = None  # the scaled fill value outside the input, if it was chosen automatically
 
     def report(self) -> Report:
         """Return the report on the strokes and the certified error, measured at every sample; this is slow."""
@@ -75,12 +75,12 @@ class WarpedStore:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Work:
-    """The data that all tasks of a job share: a few kilobytes, and the fields of the map."""
+    """The data that all tasks of a job share: a few kilobytes, plus displacement fields."""
 
-    place: Place  # of the input; workers may run in another folder
-    samples: Any  # it is sliced
-    stored: bool  # whether its chunks can be copied
-    carried: int  # the number of axes that are carried along
+    place: Place  # of the input, as an absolute path, since workers may run in another folder
+    samples: Any  # supports slicing
+    stored: bool  # whether the input is a store, whose chunks can be copied
+    carried: int  # the number of axes before those of space
     target: Target
     warp: Warp
 
@@ -96,20 +96,20 @@ def warp_store(
 ) -> WarpedStore:
     """Warp a Zarr array, an OME-Zarr image, a volume or a picture to a Zarr store, block by block.
 
-    The output of a store is of its format: chunks, shards, codecs, levels and metadata. That of a file is an OME-Zarr
+    For a store, the output has its format: chunks, shards, codecs, levels and metadata. For a file, it is an OME-Zarr
     image of version 0.5. Each task reads the part of the input that its block needs; blocks of a store that no stroke
-    reaches are copied as they are compressed. If the work is interrupted, the same call goes on with it. The result
-    equals that of `Deformation.warp` of each channel, bit for bit. Label images in an OME-Zarr
-    image, on its grid, are bent with it, and keep their labels.
+    reaches are copied without decoding. After an interruption, the same call resumes the work. The result equals that
+    of `Deformation.warp` on each channel, bit for bit. Label images in an OME-Zarr image, on the same grid, are warped
+    with it, and keep their labels.
 
     Parameters
     ----------
     source, target : str or os.PathLike
-        Folders, or addresses that fsspec knows (``s3://``, ``gs://``, ``memory://``, ...). What has two axes of space
-        is a picture, in pixels; three are a volume, in millimetres where its axes have units. Other axes are carried
-        along. If strokes have points of two numbers, the planes of a volume are pictures. The source may also be a
-        file: uncompressed NIfTI and raw voxels are mapped, tiles and strips of a TIFF are read as they are needed, and
-        other volumes and pictures are held in memory, by each process.
+        Folders, or URLs of fsspec (``s3://``, ``gs://``, ``memory://``, ...). With two axes of space, it is a picture,
+        in pixels; with three, a volume, in millimetres if its axes have units. Other axes are carried along. If strokes
+        have points of two numbers, each plane of a volume is a picture. The source may also be a file: uncompressed
+        NIfTI and raw voxels are memory-mapped, tiles and strips of a TIFF are read when needed, and each process holds
+        other volumes and pictures in memory.
     running : Running, optional
         Where the tasks run: by default, on threads of this process.
     tell : function of (str, int, int)
@@ -117,11 +117,11 @@ def warp_store(
         blocks.
     **given
         ``filter``, ``tolerance``, ``outside``, ``fill``, ``force``, ``fit``, ``maps`` and ``grid``, as in `warp_file`;
-        and ``options``, `VolumeOptions`: ``world`` and ``labels``; of files, also ``layout`` and ``series``; and
-        ``save_field``: a store (``.zarr``, or an address) becomes an OME-Zarr scene with a bijection, both directions
-        of the map, in the units and along the axes of the input; the field of a volume may be a file as well.
+        and ``options``, a `VolumeOptions` with ``world`` and ``labels``; for files, also ``layout`` and ``series``; and
+        ``save_field``: a store (``.zarr``, or a URL) becomes an OME-Zarr scene with both directions of the map, a
+        bijection, in the units and along the axes of the input; the field of a volume may also be a file.
 
-    After an error, such as a full disk or lost workers, what is written stays, and the same call goes on.
+    After an error, such as a full disk or lost workers, finished blocks are kept, and the same call resumes the work.
     """
     return warp(job_of(source, target, recipe, **given), running or Running(), tell)
 
@@ -138,7 +138,7 @@ def warp(job: Job, where: Running, tell: Tell) -> WarpedStore:
     opened = open_source(job)
     image = opened.image
     if job.outside is None and opened.is_file and opened.geometry is not None and grid is not None and grid.reference:
-        least = 0.0 if "c" in opened.samples.axes else least_of(opened.samples)  # as of volumes from file to file
+        least = 0.0 if "c" in opened.samples.axes else least_of(opened.samples)  # as for volumes from file to file
         opened = replace(opened, background=least)
     made = warp_on(opened, job)
     _warn_of_labels(opened, made)
@@ -166,7 +166,7 @@ def warp(job: Job, where: Running, tell: Tell) -> WarpedStore:
         output.put_labels(labels, image.version)
     for name in labels:
         here, there = (f"{address.rstrip('/')}/{LABELS}/{name}" for address in (image.address, output.site.address))
-        with warnings.catch_warnings():  # those of the map were given for the image
+        with warnings.catch_warnings():  # warnings about the map were given for the image
             warnings.simplefilter("ignore")
             options = replace(known, labels=known.labels or "nearest", save_field=None)
             plain = Sampling(tolerance=job.sampling.tolerance, outside=job.sampling.outside)
@@ -177,7 +177,7 @@ def warp(job: Job, where: Running, tell: Tell) -> WarpedStore:
         geometry, tolerance = opened.geometry, made.sampling.tolerance
         assert geometry is not None
         lies = geometry if made.grid is None else made.grid.geometry(geometry.convention)
-        with replacing(known.save_field, force=force) as place:  # it appears together with the output
+        with replacing(known.save_field, force=force) as place:  # published together with the output
             write_transform(place, made.deformation, lies, tolerance=tolerance, force=True, grid=made.grid, warn=False)
             output.finish()
         saved = SavedField(os.fspath(known.save_field), tolerance, certificate.error)
@@ -193,7 +193,7 @@ def warp(job: Job, where: Running, tell: Tell) -> WarpedStore:
 
 
 def _labels(source: Source, job: Job) -> tuple[str, ...]:
-    """Return the names of the label images that are bent with an image, and warn of others: found before any work."""
+    """Return the names of the label images to warp with an image, and warn of others, before any work."""
     names, address = [], source.image.address.rstrip("/")
     for name in source.image.labels:
         why = ""
@@ -228,7 +228,7 @@ def _warn_of_labels(source: Source, warp: Warp) -> None:
 
 
 def _located(source: Source, grid: Grid | None, target: PathLike) -> tuple[Numbers, Numbers]:
-    """Return the scale and the translation of the output, of all axes; SuppleError for a grid that is turned."""
+    """Return the scale and the translation of the output along all axes; SuppleError if its grid is rotated."""
     level, axes, own = source.image.levels[0], list(source.image.spatial), source.grid
     if grid is None:
         return level.scale, level.translation
@@ -244,11 +244,11 @@ def _located(source: Source, grid: Grid | None, target: PathLike) -> tuple[Numbe
     scale[axes] *= steps[::-1]
     translation[np.abs(translation) < 1e-9 * scale] = 0.0
     rounded = [tuple(float(f"{number:.12g}") for number in numbers) for numbers in (scale, translation)]
-    return rounded[0], rounded[1]  # without noise
+    return rounded[0], rounded[1]  # rounding errors removed
 
 
 def _name(source: Source, warp: Warp, job: Job) -> str:
-    """Return what identifies the work: the input, the recipe and all options that change a sample."""
+    """Return an identifier of the job, from the input, the recipe and all options that affect samples."""
     image = source.image
     place, deformation = Place(image.address), warp.deformation
     grid = deformation.grid if warp.grid is None else warp.grid
@@ -270,15 +270,15 @@ def _name(source: Source, warp: Warp, job: Job) -> str:
 
 
 def _changed(image: StoredImage, folder: Path | None) -> list[int]:
-    """Return when the metadata of a store in a folder were written, or a file and those that belong to it.
+    """Return modification times in ns: of the metadata of a store in a folder, or of a file and its companions.
 
-    Samples of a store are not looked at.
+    Changes of a store's samples are not detected.
     """
     if folder is None:
         return []
     if is_store(image.address):
         places = [folder / level.path / name for level in image.levels for name in ROOTS]
-    else:  # a folder of slices; or a header beside its data
+    else:  # the slices in a folder, or a header and its data file
         places = list(folder.iterdir() if folder.is_dir() else folder.parent.glob(f"{glob.escape(folder.stem)}.*"))
     return [os.stat(place).st_mtime_ns for place in sorted(places) if place.is_file()]
 
@@ -286,9 +286,9 @@ def _changed(image: StoredImage, folder: Path | None) -> list[int]:
 def _write_blocks(
     work: Work, runner: Runner, tell: Tell, maps: Sequence[Placed], *, warn: bool
 ) -> tuple[dict[str, int], Certificate]:
-    """Write the finest level; return what was done, and the certificate of the map.
+    """Write the finest level; return counts of blocks and bytes, and the certificate of the map.
 
-    Blocks that are there already are planned again, so that the certificate is of all of it, but not written.
+    Existing blocks are planned again, so that the certificate covers all blocks, but they are not written.
     """
     carried, target = work.carried, work.target
     shape = tuple(target.arrays[0].shape)
@@ -298,7 +298,7 @@ def _write_blocks(
     counts = {"blocks": math.prod(map(len, chunks)), "done": 0, "copied": 0, "read": 0, "copied_bytes": 0}
     advance = advancing(tell, "warp", counts["blocks"])
     for blocks, certificate, last in planned(work.warp, chunks[carried:], runner, tell):
-        if warn and last:  # before the rest is written, if warnings are errors
+        if warn and last:  # before the last blocks are written, in case warnings are errors
             warn_of(certificate, work.warp.sampling.tolerance, 4, folds_of(maps), only_name(maps))
         items = itertools.product(leads, blocks)
         while some := list(itertools.islice(items, _AT_ONCE)):
@@ -309,7 +309,7 @@ def _write_blocks(
 
 
 def _write_block(work: Work, item: tuple[Box, Block]) -> tuple[Literal["done", "copied", "read"], int]:
-    """Write a block; return whether it was there, was copied or computed, and the bytes of what was read for it."""
+    """Write a block; return whether it existed, was copied or was computed ("read"), and the bytes read for it."""
     lead, block = item
     target = work.target
     check_seen(work.place, target.site)

@@ -1,4 +1,4 @@
-"""Tasks of one job, done by Dask: on threads here, on processes of this machine, or on a cluster."""
+"""Running the tasks of a job: on threads of this process, or, by Dask, on local processes or a cluster."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ Item = TypeVar("Item")
 Result = TypeVar("Result")
 Advance = Callable[[], None]
 
-_PATIENCE = 10  # seconds until a scheduler has answered
+_PATIENCE = 10  # seconds to wait for a scheduler's answer
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,7 +51,7 @@ class Running:
 
 
 class Runner:
-    """A runner of tasks: threads of this process."""
+    """A runner of tasks on threads of this process."""
 
     @property
     def slots(self) -> int:
@@ -61,7 +61,7 @@ class Runner:
     def each(
         self, function: Callable[[Job, Item], Result], job: Job, items: Sequence[Item], advance: Advance
     ) -> list[Result]:
-        """Compute a function of the job and of each item; ``advance`` is called whenever one is done."""
+        """Return ``function(job, item)`` for each item, in order; ``advance`` is called whenever one is done."""
         pool = ThreadPoolExecutor(self.slots)
         try:
             futures = [pool.submit(function, job, item) for item in items]
@@ -70,11 +70,11 @@ class Runner:
                 advance()
             return [future.result() for future in futures]
         finally:
-            pool.shutdown(cancel_futures=True)  # after an error, no task goes on writing
+            pool.shutdown(cancel_futures=True)  # after an error, no further task writes
 
 
 def advancing(tell: Tell, step: str, total: int) -> Advance:
-    """Return a function that tells of one more of some tasks of a step, of which none is done yet."""
+    """Return a function that counts one finished task of a step with each call, and reports it to ``tell``."""
     ready = itertools.count(1)
     tell(step, 0, total)
     return lambda: tell(step, next(ready), total)
@@ -82,7 +82,7 @@ def advancing(tell: Tell, step: str, total: int) -> Advance:
 
 @contextlib.contextmanager
 def runner_of(running: Running) -> Iterator[Runner]:
-    """Return what does the tasks of a job; SuppleError if Dask is not installed, or the scheduler does not answer."""
+    """Yield a runner for the tasks of a job; SuppleError if Dask is not installed, or the scheduler does not answer."""
     need("zarr", "outputs that are written block by block", "dask")
     if not running.elsewhere:
         yield Runner()
@@ -95,8 +95,8 @@ def runner_of(running: Running) -> Iterator[Runner]:
 
 @contextlib.contextmanager
 def _quiet() -> Iterator[None]:
-    """Keep Dask from telling of what goes wrong: it becomes one sentence."""
-    _distributed()  # which sets levels when it is imported
+    """Silence Dask's log messages; its errors are converted to one sentence."""
+    _distributed()  # imported first, as it sets log levels
     loggers = [logging.getLogger(name) for name in logging.root.manager.loggerDict if name.startswith("distributed")]
     before = [one.level for one in loggers]
     for one in loggers:
@@ -109,7 +109,7 @@ def _quiet() -> Iterator[None]:
 
 
 class _Distributed(Runner):
-    """Workers of a cluster."""
+    """A runner of tasks on Dask workers, local processes or a cluster."""
 
     def __init__(self, client: Any, told: str) -> None:
         self._client, self._told = client, told
@@ -126,7 +126,7 @@ class _Distributed(Runner):
         with self._failing():
             try:
                 if id(job) not in self._held:
-                    # a task, not data: where its worker is lost, it is done again
+                    # submitted as a task, not as data, so that it is repeated if its worker is lost
                     self._held[id(job)] = job, self._client.submit(pickle.loads, pickle.dumps(job), pure=False)
                 held = self._held[id(job)][1]
                 futures = self._client.map(_swapped, list(items), function=function, job=held, pure=False)
@@ -142,7 +142,7 @@ class _Distributed(Runner):
 
     @contextlib.contextmanager
     def _failing(self) -> Iterator[None]:
-        """Convert errors of the cluster to one sentence; those of tasks that are one already stay."""
+        """Convert errors of the cluster to one sentence; SuppleErrors of tasks pass unchanged."""
         from asyncio import CancelledError
         from concurrent.futures import CancelledError as Cancelled
 
@@ -167,7 +167,7 @@ def _swapped(item: Item, *, function: Callable[[Job, Item], Result], job: Job) -
 
 @contextlib.contextmanager
 def _processes(count: int) -> Iterator[Runner]:
-    # Each process has its share of the cores: tasks side by side, since chunks are decoded by one thread each.
+    # Each process has its share of the cores, for parallel tasks, since a chunk is decoded by one thread.
     share = max(1, round(threads() / count))
     with _ignored():
         try:
@@ -195,11 +195,11 @@ def _closing(opened: Any) -> Iterator[Any]:
 
 @contextlib.contextmanager
 def _ignored() -> Iterator[None]:
-    """Let no interrupt reach what is started here: a terminal sends it to all processes, and this one ends them."""
+    """Let processes started here ignore interrupts: a terminal sends these to all, and this process ends the others."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)  # which processes inherit
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)  # inherited by child processes
     try:
         yield
     finally:
@@ -207,8 +207,8 @@ def _ignored() -> Iterator[None]:
 
 
 def dask_setup(worker: object) -> None:
-    """Ignore interrupts in a process that has taken the place of one that ended; Dask calls this by its name."""
-    with contextlib.suppress(ValueError):  # not the main thread
+    """Ignore interrupts in a restarted worker process; Dask calls this function by its name."""
+    with contextlib.suppress(ValueError):  # raised outside the main thread
         signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
@@ -226,7 +226,7 @@ def _cluster(address: str) -> Iterator[Runner]:
 
 
 def check_shared(addresses: Sequence[str | os.PathLike[str]]) -> None:
-    """Raise SuppleError for a store that other processes do not see."""
+    """Raise SuppleError for stores that other processes cannot access, as in ``memory://``."""
     for address in addresses:
         if os.fspath(address).partition("://")[0].lower() == "memory":
             raise SuppleError(
@@ -236,7 +236,7 @@ def check_shared(addresses: Sequence[str | os.PathLike[str]]) -> None:
 
 
 def check_seen(*places: Place) -> None:
-    """Raise SuppleError on a worker that does not see a folder, to Zarr a store of fill values, or a file."""
+    """Raise SuppleError if this worker cannot see a folder or a file; Zarr would read fill values instead."""
     for place in places:
         if place.folder is not None and not place.folder.exists():
             text = f"{shown(place.address)} is gone, or a worker does not see it: give addresses that all workers reach"
@@ -244,7 +244,7 @@ def check_seen(*places: Place) -> None:
 
 
 def _distributed() -> Any:
-    """Return the module, which is imported only where it is used."""
+    """Return the module dask.distributed, imported at the first use."""
     import distributed
 
     return distributed

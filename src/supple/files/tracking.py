@@ -1,4 +1,4 @@
-"""Points of a clip, tracked through its frames by pyramidal Lucas-Kanade, forwards and backwards."""
+"""Tracking points through the frames of a clip by pyramidal Lucas-Kanade, forwards and backwards in time."""
 
 from __future__ import annotations
 
@@ -23,19 +23,19 @@ from supple.media.medium import opened
 from supple.space.checks import point, refuse
 
 Numbers = npt.NDArray[np.float64]
-Step = tuple[Array, Array, Numbers]  # the same part of two frames, one after the other, and its first pixel, x and y
+Step = tuple[Array, Array, Numbers]  # the same part of two consecutive frames, and (x, y) of its first pixel
 
-_STRETCH = 16  # frames that are followed back before the way forwards counts
-_WINDOW = 21  # pixels that are compared, at least: a 36th of the height of larger frames
-_REACH = 8  # windows on each side of a point: the part in which it is searched
-_FARTHEST = 1.0  # pixels between both ways, and between Lucas-Kanade and the template
-_ALIKE = 0.8  # correlation with the template, below which another one is taken
+_STRETCH = 16  # frames after which a path is verified by tracking it back
+_WINDOW = 21  # pixels: the smallest side of the window; 1/36 of the shorter side of large frames
+_REACH = 8  # windows on each side of a point: the part of a frame in which it is searched
+_FARTHEST = 1.0  # pixels: the largest distance between path and path back, and between Lucas-Kanade and the template
+_ALIKE = 0.8  # the correlation with the template below which a new one is taken
 _LUMA = np.array((0.2126, 0.7152, 0.0722), np.float32)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Tracked:
-    """Where a point is in the frames of a clip.
+    """The positions of a point in the frames of a clip.
 
     Parameters
     ----------
@@ -44,9 +44,9 @@ class Tracked:
     points : array of float64, shape (N, 2)
         x and y in each frame, in pixels.
     errors : array of float64, shape (N,)
-        The distance in pixels between the way forwards and the way back; 0 in the frame of the given point.
+        The distance in pixels between the path and the path tracked back; 0 in the frame of the given point.
     lost : tuple of (int, str)
-        The frames before and after these in which the point was lost, and why; none where the clip begins and ends.
+        The frames just before and after ``frames`` in which the point was lost, and why; empty at the ends of the clip.
     """
 
     frames: npt.NDArray[np.int64]
@@ -56,12 +56,12 @@ class Tracked:
 
     @property
     def keys(self) -> tuple[tuple[int, tuple[float, float]], ...]:
-        """The positions, as `supple.Stroke.following` takes them."""
+        """The positions as keys for `supple.Stroke.following`."""
         return tuple((int(k), (float(x), float(y))) for k, (x, y) in zip(self.frames, self.points, strict=True))
 
 
 class _Template:
-    """The samples around a point in a frame, and the affine map from there to the frame that was seen last."""
+    """The samples around a point in a frame, and the affine map from this frame to the latest one."""
 
     def __init__(self, image: Array, at: Numbers, half: int) -> None:
         part, corner = _around(image, at, half)
@@ -76,7 +76,7 @@ class _Template:
         seen = image.astype(np.float32)
         try:
             alike, found = cv2.findTransformECC(self.pixels, seen, start, cv2.MOTION_AFFINE, how, None, 1)
-        except cv2.error:  # it does not converge
+        except cv2.error:  # no convergence
             return None
         turn = found[:, :2].astype(np.float64)
         place: Numbers = turn @ self.at + found[:, 2]
@@ -87,18 +87,18 @@ class _Template:
 
 
 class _Walk:
-    """A point on its way through frames in one direction of time."""
+    """A point that is tracked in one direction of time."""
 
     def __init__(self, at: Sequence[float], frame: int, shape: tuple[int, ...]) -> None:
         self.frame, self.points, self.errors = frame, [np.array(at, np.float64)], [0.0]
         self.window = max(_WINDOW, min(shape) // 36 | 1)
-        self.why = ""  # it was lost, if not empty
+        self.why = ""  # the reason if the point was lost, else empty
         self._steps: list[Step] = []
-        self._image: Array | None = None  # the frame before
+        self._image: Array | None = None  # the previous frame
         self._template: _Template | None = None
 
     def see(self, image: Array) -> None:
-        """Go on to the next frame; the first is that in which the point was given."""
+        """Track the point into the next frame; the first call has the frame in which the point was given."""
         before, self._image, at = self._image, image, self.points[-1]
         if before is None:
             self._template = self._look(image, at)
@@ -118,9 +118,9 @@ class _Walk:
             self.settle()
 
     def settle(self) -> None:
-        """Follow the last steps back; leave out those that do not lead to where they began.
+        """Verify the latest steps by tracking them back; drop those whose path back ends elsewhere.
 
-        Where the template misleads, as on smooth things that change their shape, they are taken without one.
+        If steps with the template fail, as on smooth objects that change their shape, they are tried without it.
         """
         steps, count = self._steps, len(self._steps)
         refined, missed = self.points[-count - 1 :], math.inf
@@ -149,7 +149,7 @@ class _Walk:
         self._steps = []
 
     def _way(self, steps: Sequence[Step], at: Numbers, looks: bool) -> list[Numbers]:
-        """Return the positions after steps, from ``at`` on, as far as something is seen."""
+        """Return ``at`` and the positions after each step, until the point is lost; ``looks`` uses a template."""
         way, template = [at], self._look(steps[0][0], at - steps[0][2]) if looks else None
         for step in steps:
             place, template = self._taken(step, way[-1], template)
@@ -159,7 +159,7 @@ class _Walk:
         return way
 
     def _taken(self, step: Step, at: Numbers, template: _Template | None) -> tuple[Numbers | None, _Template | None]:
-        """Return where a point is after a step, None if nothing is seen of it; and the template from then on."""
+        """Return the position of a point after a step, None if it is lost; and the template for the next step."""
         import cv2
 
         before, after, corner = step
@@ -184,13 +184,13 @@ class _Walk:
 def track(
     path: PathLike, at: Sequence[Sequence[float]], *, memory: float = 2 * GB, tell: Tell = silent
 ) -> tuple[Tracked, ...]:
-    """Return where points of a clip are in its frames.
+    """Track points through the frames of a clip.
 
-    Each point is followed from its frame to the last and to the first one by pyramidal Lucas-Kanade (Bouguet, 2000) on
-    luma, and placed where the frame looks like the one in which it was given (an affine map of what is around it, by
-    the enhanced correlation of Evangelidis and Psarakis, 2008), so that it does not drift. It is followed back, too:
-    where both ways are more than a pixel apart within 16 frames, it is lost (Kalal and others, 2010), with a
-    `TrackWarning` that names the frame.
+    Each point is tracked from its frame to the last and to the first one by pyramidal Lucas-Kanade (Bouguet, 2000) on
+    luma. Its position is refined by matching a template from its first frame under an affine map, by the enhanced
+    correlation of Evangelidis and Psarakis (2008), so that it does not drift. Every 16 frames, the path is tracked
+    back: where both are more than a pixel apart, the point is lost (Kalal and others, 2010), with a `TrackWarning` that
+    names the frame.
 
     Parameters
     ----------
@@ -199,7 +199,7 @@ def track(
     at : sequence of (float, float, int)
         The points: x and y in pixels, and the frame, counted from 0.
     memory : float
-        The bytes that decoded frames may take, on the way to the first frame.
+        Bytes of memory for decoded frames, when tracking towards the first frame.
     tell : function of (str, int, int), optional
         Called with ``"track"``, the number of frames seen, and their total.
 
@@ -258,7 +258,7 @@ def _tracked(clip: Clip, at: Sequence[Sequence[float]], memory: float, tell: Tel
 
 
 def _joined(onwards: Sequence[_Walk], backwards: Sequence[_Walk], corner: Numbers, name: str) -> tuple[Tracked, ...]:
-    """Return both ways of each point as one; warn of those that are lost."""
+    """Join the paths of each point in both directions of time; warn of lost points."""
     tracks, lines = [], []
     for later, earlier in zip(onwards, backwards, strict=True):
         points = np.array([*earlier.points[:0:-1], *later.points]) - corner
@@ -277,12 +277,12 @@ def _joined(onwards: Sequence[_Walk], backwards: Sequence[_Walk], corner: Number
 
 
 def _from(clip: Any, first: int) -> Iterator[tuple[int, Array]]:
-    """Yield the luma of frames from ``first`` on, as stored; of floats its root, as these are linear light."""
+    """Yield (frame, luma) from ``first`` on, as stored; for floats, which are linear light, the square root."""
     arrays = [np.empty((*group.shape, group.channels), clip.layout.dtype) for group in clip.layout.groups]
     samples, group = arrays[0], clip.layout.groups[0]
     family = clip.form.kind.family if hasattr(clip, "form") else "rgb"
     colours = group.channels - group.alpha >= 3 and family != "yuv"
-    seeks = hasattr(clip, "frames_from")  # image sequences need none
+    seeks = hasattr(clip, "frames_from")  # image sequences need no seeking
     for k, frame in clip.frames_from(first) if seeks else itertools.islice(enumerate(clip.frames()), first, None):
         frame.copy_to(arrays)
         luma = (samples[..., :3] @ _LUMA).astype(samples.dtype) if colours else samples[..., 0].copy()
@@ -290,7 +290,7 @@ def _from(clip: Any, first: int) -> Iterator[tuple[int, Array]]:
 
 
 def _back(clip: Any, last: int, memory: float) -> Iterator[tuple[int, Array]]:
-    """Yield the luma of frames from ``last`` to 0: decoded from key frames on, as many at once as memory allows."""
+    """Yield (frame, luma) from ``last`` down to 0; decoded from key frames, in batches that fit ``memory``."""
     most = max(2, int(memory // (math.prod(clip.layout.shape) * clip.layout.dtype.itemsize)))
     while last >= 0:
         begin = max(last - _STRETCH, 0)
@@ -307,10 +307,10 @@ def _around(image: Array, at: Numbers, half: int) -> tuple[Array, Numbers]:
 
 
 def write_track(path: PathLike, tracks: Sequence[Tracked], *, force: bool = False, first: int = 0) -> None:
-    """Write a table that `supple.media.tracks.read_tracks` reads: frame, x, y and error; of several tracks, a name.
+    """Write a table for `supple.media.tracks.read_tracks`: frame, x, y, error and, for several tracks, a name.
 
-    The names are 1, 2 and so on; ``first`` is the number of the first frame of the clip. SuppleError
-    if the file exists and ``force`` is false, or it cannot be written.
+    The names are 1, 2 and so on; ``first`` is the number of the clip's first frame. SuppleError if the file exists and
+    ``force`` is false, or it cannot be written.
     """
     lines = ["frame,x,y,error" + ",name" * (len(tracks) > 1)]
     for n, each in enumerate(tracks, 1):

@@ -1,4 +1,4 @@
-"""Strokes that follow the tracks of a file."""
+"""Making strokes follow tracks."""
 
 from __future__ import annotations
 
@@ -33,29 +33,29 @@ def follow_tracks(
     tell: Tell = silent,
     frames: Callable[[str, str], int] | None = None,
 ) -> Recipe:
-    """Return a recipe whose strokes move along with the tracks of a file, or with what is under them.
+    """Return a recipe whose strokes follow the tracks of a file, or the material under them.
 
     Parameters
     ----------
     recipe : Recipe
-        Its strokes have points of two numbers.
+        A recipe whose strokes have points of two numbers.
     path : str, os.PathLike or None
-        A file that `supple.media.tracks.read_tracks` reads. None: the point ``at`` of each stroke is tracked through
-        the clip from ``frame`` on, by `supple.track`.
+        A file for `supple.media.tracks.read_tracks`. If None, `supple.track` tracks the point ``at`` of each stroke
+        through the clip, starting from ``frame``.
     clip : str or os.PathLike
-        The clip, whose height is needed for positions of Nuke.
+        The clip; its height is needed for Nuke's coordinates.
     names : sequence of str
         The tracks to follow: one for all strokes, or one for each, in order. By default all tracks of the file.
     frame : int, optional
-        The frame in which the strokes are where the recipe has them; by default, the first of each track, or of the
+        The frame to which the strokes' positions in the recipe refer; by default, the first of each track, or of the
         clip.
     strokes : sequence of int, optional
         The indices of the strokes; by default, all.
     convention, first, frames
         As in `supple.media.tracks.read_tracks`.
     turn : bool
-        Whether each stroke follows two tracks, one after the other: it moves with the first point, and turns and grows
-        with the way to the second.
+        Whether each stroke follows two consecutive tracks: it moves with the first point, and turns and grows with the
+        line from the first to the second.
     outside : str
         What strokes do before and after their tracks, as in `supple.Stroke.following`.
     memory, tell
@@ -64,8 +64,8 @@ def follow_tracks(
     Raises
     ------
     SuppleError
-        If the file cannot be read, a name is not in it, or there are neither one track nor as many as strokes (with
-        ``turn``, two, or twice as many); or as in `supple.track`.
+        If the file cannot be read; a name is not in it; or the number of tracks is neither one nor that of the strokes
+        (with ``turn``, two, or twice as many); or as in `supple.track`.
     """
 
     def height() -> int:

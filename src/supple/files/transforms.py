@@ -1,6 +1,6 @@
-"""Deformations written as displacement fields: of volumes for other tools, and of stored images as OME-Zarr scenes.
+"""Writing deformations as displacement fields: of volumes for other programs, of stored images as OME-Zarr scenes.
 
-A scene holds fields of both directions of the map, written block by block.
+A scene holds fields for both directions of the map, which are written block by block.
 """
 
 from __future__ import annotations
@@ -34,14 +34,14 @@ from supple.space.checks import number
 from supple.space.geometry import Floats, Geometry, Grid
 
 MOST = 1 << 27
-"""The bytes of a field that are held in memory: it is larger than its volume."""
+"""The most bytes of a field that is kept in memory; larger ones are mapped from a temporary file."""
 ROUNDING = 2.0**-22
-"""Samples: to that, source points are known, as the core holds their fractions as float32."""
+"""The accuracy of source points in samples: the core stores their fractions as float32."""
 PULL, PUSH = range(2)
-_WAYS = ("forward", "inverse")  # as the format calls them
-_TOGETHER = 4  # chunks of a task, each of some megabytes
-_AT_ONCE = 4096  # tasks that wait at a time
-_SOLVED = 1e-9  # samples: to that, T is solved where it is not explicit
+_WAYS = ("forward", "inverse")  # the format's names
+_TOGETHER = 4  # chunks for each task; a chunk is some megabytes
+_AT_ONCE = 4096  # tasks in the queue
+_SOLVED = 1e-9  # samples: the accuracy of T where it is solved iteratively
 _PACKING = threading.Lock()
 
 
@@ -61,13 +61,13 @@ def displacement_of(
     deformation : Deformation
         A deformation of a volume.
     geometry : Geometry
-        Of the volume; of the output, if it has another grid.
+        The geometry of the volume; of the output, if that has another grid.
     tolerance : float
         The largest distance of a source point from T⁻¹(q), in voxels.
     out : float32 array, optional
         The array for the result; it may be mapped from a file.
     grid : Grid, optional
-        The grid of the output, if it is not that of the input; the deformation must then know its place in space.
+        The grid of the output, if it is not that of the input; the deformation must then have a grid in space.
     warn : bool
         Whether to give a ToleranceWarning if the checks of the map's cells do not promise the tolerance everywhere.
 
@@ -91,7 +91,7 @@ def displacement_of(
 
 
 def between(own: Grid, grid: Grid) -> tuple[Floats, Floats]:
-    """Return the matrix and the shift from the indices of a grid, of all of it, to those of another in its space."""
+    """Return the matrix and the shift from indices on ``grid`` (uncropped) to indices on ``own``, in the same space."""
     whole = grid.uncropped()
     turned = np.linalg.solve(own.matrix[:-1, :-1], whole.matrix[:-1, :-1])
     return np.asarray(turned, np.float64), own.indices(whole.origin)
@@ -104,11 +104,11 @@ def pull_of(
     out: npt.NDArray[np.float32],
     turned: tuple[Floats, Floats] | None = None,
 ) -> Certificate:
-    """Write T⁻¹(q) - q for all samples q of the output, or of the part of it that the map's grid is.
+    """Write T⁻¹(q) - q to ``out``, for all samples q of the output, or of the part that is the grid of ``space``.
 
-    ``matrix`` leads from a vector in samples of the input, x first, to what is written, and ``turned``, a matrix and a
-    shift, from an index of the output's whole grid to one of the input, if they differ. The certificate is of T⁻¹, in
-    samples, before it is rounded to float32.
+    ``matrix`` converts a vector in samples of the input, x first, to the written one; ``turned``, a matrix and a shift
+    as from `between`, converts indices of the output to indices of the input, if their grids differ. The returned
+    certificate is that of T⁻¹, in samples, before rounding to float32.
     """
     planes = out if space.ndim == 3 else out[None]
     first = (0,) * space.ndim if space.grid is None else space.grid.first
@@ -124,7 +124,7 @@ def pull_of(
             here[..., 2] = first[2] + k
         np.subtract(points, here if turned is None else here @ turned[0].T + turned[1], out=points)
         if space.composite is not None:
-            points[np.abs(points) < ROUNDING] = 0  # where nothing moves, but what is solved is rounded
+            points[np.abs(points) < ROUNDING] = 0  # rounding errors of solved points that do not move
         np.matmul(points, matrix.T, out=plane, casting="same_kind")
         certificate |= certificate_of(plan, space)
     return certificate
@@ -161,20 +161,20 @@ def _check(deformation: Deformation) -> None:
 
 @dataclass(frozen=True, slots=True)
 class SavedField:
-    """The map of a job, that was written beside its output."""
+    """The result of writing a job's map beside its output."""
 
     address: str
-    tolerance: float  # the largest distance of T⁻¹(q) from where it is, in samples of the input
-    forward: float  # the error estimate of T⁻¹, in samples of the input; infinite if it is not known everywhere
-    inverse: float | None = None  # that of T: 0 without fields, since T is explicit then; None if T was not written
+    tolerance: float  # the largest distance of a source point from T⁻¹(q), in samples of the input
+    forward: float  # the error estimate of T⁻¹, in samples of the input; infinite if some points are unsolved
+    inverse: float | None = None  # that of T: 0 without fields, as T is explicit; None if T was not written
     blocks: int = 0  # the number of chunks
-    stored: int = 0  # of those that are stored, since something moves there
-    done: int = 0  # of those that were there already, from a job that was interrupted
+    stored: int = 0  # the number of stored chunks; chunks without displacement are not stored
+    done: int = 0  # the number of chunks that an interrupted job had already written
 
 
 @dataclass(frozen=True, slots=True)
 class Work:
-    """The data that all tasks share."""
+    """The data that all tasks of writing a scene share."""
 
     target: Target
     warp: Warp
@@ -182,16 +182,16 @@ class Work:
     _packed: list[Space] = field(default_factory=list, init=False, repr=False, compare=False)
 
     def __reduce__(self) -> tuple[type[Work], tuple[Any, ...]]:
-        """Leave out what is packed: the core's maps stay in their process."""
+        """Pickle without `_packed`: the core's maps are not sent to other processes."""
         return Work, (self.target, self.warp, self.scale)
 
     @property
     def matrix(self) -> Floats:
-        """From a vector in samples of the input, x first, to one along the stored axes, in their units."""
+        """The matrix from vectors in samples of the input, x first, to vectors along stored axes, in their units."""
         return np.ascontiguousarray(np.diag(self.scale)[:, ::-1])
 
     def push(self) -> Space:
-        """Return the map from the input, which all blocks share."""
+        """Return the map from the input to the output, computed once and shared by all blocks."""
         with _PACKING:
             if not self._packed:
                 self._packed.append(self.warp.deformation.space)
@@ -199,14 +199,14 @@ class Work:
 
 
 def is_scene(address: PathLike | None) -> bool:
-    """Return whether a field is to be written as a scene of OME-Zarr: to a folder ``.zarr``, or to an address."""
+    """Return whether a field will be written as an OME-Zarr scene: to a folder ``.zarr``, or to a URL."""
     return address is not None and is_store(address)
 
 
 def check_field(address: PathLike, others: Sequence[PathLike], *, flat: bool, force: bool) -> None:
-    """Raise SuppleError, before any work, for a field that cannot be written, or is one of the ``others``.
+    """Raise SuppleError, before any work, for a field that cannot be written, or that overlaps one of the ``others``.
 
-    These are the input and the output; ``flat`` says that the map is of a picture, whose fields OME-Zarr alone holds.
+    ``others`` are the input and the output; ``flat`` means that the map is of a picture, which requires OME-Zarr.
     """
     if any(overlap(address, other) for other in others):
         raise SuppleError(f"{shown(address)} cannot be the field and an image too: give it a place of its own")
@@ -222,9 +222,9 @@ def check_field(address: PathLike, others: Sequence[PathLike], *, flat: bool, fo
 def begin_field(
     address: PathLike, image: StoredImage, warp: Warp, samples: ngff.Placement, job: str, *, force: bool
 ) -> Callable[[], Work]:
-    """Plan a scene of a map, along the axes of an input and in its units; return what takes its place.
+    """Plan a scene of a map, along the axes of an input and in its units; return a function that creates it.
 
-    ``samples`` is where those of the output lie, and ``job`` that of the output, beside which it is written.
+    ``samples`` is the grid of the output's samples; ``job`` identifies the job of the output.
     """
     first, axes = image.levels[0], list(image.spatial)
     scale, translation = ([values[axis] for axis in axes] for values in (first.scale, first.translation))
@@ -236,14 +236,14 @@ def begin_field(
 
 
 def write_field(work: Work, runner: Runner, tell: Tell, maps: Sequence[Placed]) -> SavedField:
-    """Write both directions of a map, all but the last step, `Target.finish`.
+    """Write both directions of a map; `Target.finish` remains to be called.
 
     ``tell`` is called with ``"field"`` and the finished and the total number of tasks.
 
     Warns
     -----
     ToleranceWarning, FoldWarning, OutsideWarning
-        As `Deformation.warp` does of T⁻¹, and as `Deformation.forward` of T.
+        As in `Deformation.warp` for T⁻¹, and as in `Deformation.forward` for T.
     """
     target, tolerance = work.target, work.warp.sampling.tolerance
     sizes = [chunks_of(block, array.shape) for block, array in zip(target.blocks, target.arrays, strict=True)]
@@ -273,10 +273,10 @@ def _batches(way: int, sizes: Sequence[Sequence[int]]) -> Iterator[tuple[int, li
 
 
 def _write_chunks(work: Work, item: tuple[int, list[Box]]) -> tuple[Certificate, int, int]:
-    """Write chunks of one direction; return what is known of them, and how many are new and were there already.
+    """Write chunks of one direction; return their certificate, and the numbers of new and of existing ones.
 
-    Where nothing moves, nothing is stored. What is there already is solved again, so that what is told of the map is
-    true of all of it, but is not written again.
+    Chunks without displacement are not stored. Existing chunks are solved again, so that the report covers all chunks,
+    but they are not written.
     """
     way, boxes = item
     target = work.target
@@ -319,7 +319,7 @@ def _pushed(work: Work, box: Box, done: bool) -> tuple[npt.NDArray[np.float32] |
     points = np.empty((*rows.shape, len(box)))
     points[..., 0], points[..., 1] = columns + first[0], rows + first[1]
     for k, plane in zip(_planes(box), out if len(box) == 3 else out[None], strict=True):
-        # T leaves alone what T⁻¹ leaves alone: the plan knows where no stroke reaches.
+        # T is the identity wherever T⁻¹ is, which the plan knows.
         if space.composite is None and plan_of(part, k, work.warp.sampling.tolerance).identity:
             continue
         if len(box) == 3:
@@ -346,7 +346,7 @@ def _error(certificate: Certificate) -> float:
 
 
 def _told(certificate: Certificate, tolerance: float) -> dict[str, Any]:
-    """Return what the attributes of the scene say of one direction, in samples of the input."""
+    """Return the facts on one direction for the attributes of the scene, in samples of the input."""
     error = _error(certificate)
     told: dict[str, Any] = {"tolerance": tolerance, "error": error if math.isfinite(error) else None}
     bad = {"unsolved": certificate.unknown, "folded": certificate.folded, "outside": certificate.outside}
@@ -354,7 +354,7 @@ def _told(certificate: Certificate, tolerance: float) -> dict[str, Any]:
 
 
 def _axes(image: StoredImage) -> list[Mapping[str, Any]]:
-    """Return the descriptions of the axes of space, as `StoredImage.grid` takes them."""
+    """Return the metadata of the axes of space, in agreement with `StoredImage.grid`."""
     axes = [image.axes[axis] for axis in image.spatial]
     if not image.version:
         return [{"name": name, "type": "space", "discrete": False} for name in "zyx"[-len(axes) :]]

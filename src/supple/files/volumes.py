@@ -1,4 +1,4 @@
-"""Volumes warped from file to file, in millimetres."""
+"""Warping volumes from file to file, in millimetres."""
 
 from __future__ import annotations
 
@@ -33,7 +33,8 @@ from supple.media.volume.dicom import padding_of
 from supple.space.geometry import Floats, Geometry, Grid
 from supple.strokes import CoordinateSpace, Fit, Recipe, Stroke, fit_recipe
 
-# The test for label maps: the number of slices, and the fraction of equal neighbours beside the background.
+# The test for label maps: the number of slices that are examined; the smallest fraction of equal neighbours outside
+# the background; the largest number of labels; and the number of values that are always few enough.
 _LOOKED_AT, _AREAS, _MOST_LABELS, _FEW = 16, 0.7, 1024, 8
 _BETWEEN = 0.2  # of the changes from voxel to voxel: so many values between two others are none of labels
 _SLAB = 16  # slices that are computed and written together
@@ -55,7 +56,7 @@ class Flowing:
 
 
 def open_volume(source: PathLike, options: VolumeOptions | None = None) -> Volume:
-    """Return a volume with the samples as they are stored: `Volume.rescaled` has the true values."""
+    """Return a volume with the samples as stored; `Volume.rescaled` returns the scaled values."""
     known = options or VolumeOptions()
     volume = read(source, raw=known.layout, series=known.series, irregular=known.irregular)
     for name in ("series", "irregular"):
@@ -66,7 +67,7 @@ def open_volume(source: PathLike, options: VolumeOptions | None = None) -> Volum
 
 
 def place_of(path: PathLike, options: VolumeOptions | None = None) -> str | None:
-    """Return the convention of what points of three numbers are for: of a volume, as in `Geometry`; None of a clip."""
+    """Return the convention of a volume's geometry, as in `Geometry`, for points of three numbers; None for a clip."""
     if is_store(path):
         from supple.media.stores.image import open_image
 
@@ -80,12 +81,12 @@ def place_of(path: PathLike, options: VolumeOptions | None = None) -> str | None
 def deformation_of(
     recipe: Recipe, volume: Volume, *, world: bool = False, fit: Fit | None = None, maps: Sequence[Placed] = ()
 ) -> Deformation:
-    """Return a recipe on a volume: radius and border in millimetres, points as indices or as positions in space.
+    """Return the deformation of a volume by a recipe: radius and border are in millimetres, points are indices.
 
     The deformation is on the volume's grid, or, if that is sheared, on the upright grid around it (`Grid.upright`),
-    whose faces the border keeps in place. ``maps`` are fields and affine maps between the strokes, in millimetres in
-    LPS. SuppleError if a stroke has no third coordinate; points are in space, but the volume has no position; or the
-    recipe was made for another size, without ``fit``.
+    whose faces the border keeps in place. With ``world``, points are positions in space. ``maps`` are fields and affine
+    maps between the strokes, in millimetres in LPS. SuppleError if a stroke has no third coordinate; points are in
+    space, but the volume has no position; or the recipe was made for another size, without ``fit``.
     """
     for i, stroke in enumerate(recipe.strokes):
         if stroke.ndim != 3 and not stroke.hidden:
@@ -112,7 +113,7 @@ def deformation_of(
 
 
 def warn_of_lengths(recipe: Recipe, grid: Grid, name: str, unit: str) -> None:
-    """Warn of a radius that is in another unit, most likely: larger than the whole, or smaller than a sample."""
+    """Warn of a radius that is probably in another unit: larger than the whole image, or smaller than a sample."""
     size = np.multiply(grid.sizes, grid.spacing)
     for stroke in (each for each in recipe.strokes if each.brush != "freeze"):
         if stroke.radius > _HUGE * max(size):
@@ -127,9 +128,9 @@ def warn_of_lengths(recipe: Recipe, grid: Grid, name: str, unit: str) -> None:
 
 
 def in_space(recipe: Recipe, geometry: Geometry, name: str, world: bool) -> Recipe:
-    """Return a recipe with its coordinate space, if its points are known to be positions in space (``world``).
+    """Return a recipe with the coordinate space of a geometry, if its points are positions in space (``world``).
 
-    SuppleError if the recipe has another one, or the volume has no position in space.
+    SuppleError if the recipe has another space, or the volume has no position in space.
     """
     if not world:
         return recipe
@@ -147,7 +148,7 @@ def in_space(recipe: Recipe, geometry: Geometry, name: str, world: bool) -> Reci
 
 
 def indexed(recipe: Recipe, geometry: Geometry, name: str) -> Recipe:
-    """Return a recipe in millimetres as one of indices; another one unchanged."""
+    """Return a recipe in millimetres converted to indices; a recipe in indices is returned unchanged."""
     if not recipe.is_world:
         return recipe
     if geometry.convention == "array":
@@ -158,13 +159,13 @@ def indexed(recipe: Recipe, geometry: Geometry, name: str) -> Recipe:
 
 
 def placed(recipe: Recipe, geometry: Geometry, space: CoordinateSpace) -> Recipe:
-    """Return a recipe of indices as one in millimetres: the inverse of `indexed`."""
+    """Return a recipe in indices converted to millimetres, the inverse of `indexed`."""
     there = partial(geometry.to_world, convention=space)
     return replace(recipe, strokes=tuple(_mapped(each, there, geometry) for each in recipe.strokes), space=space)
 
 
 def _mapped(stroke: Stroke, there: Callable[[Floats], Floats], geometry: Geometry) -> Stroke:
-    """Return a stroke between indices and positions of a volume, in either direction."""
+    """Convert a stroke from indices to positions of a volume, or back; ``there`` converts points."""
     origin = there(np.zeros(3))
 
     def point(p: tuple[float, ...]) -> tuple[float, ...]:
@@ -176,13 +177,13 @@ def _mapped(stroke: Stroke, there: Callable[[Floats], Floats], geometry: Geometr
     made, axis = replace(stroke, axis=None).mapped(point, along), stroke.direction
     if axis is None:
         return made
-    # What is right-handed about an axis in one of the two spaces may be left-handed in the other.
+    # A rotation changes its sense between two spaces of opposite handedness.
     way = -1.0 if stroke.brush == "twist" and np.linalg.det(geometry.direction) < 0 else 1.0
     return replace(made, axis=along(tuple(np.multiply(axis, way / np.abs(axis).max()).tolist())))
 
 
 def filtered(job: Job) -> Sampling:
-    """Return how a volume is sampled, of labels as these are; SuppleError for labels that would be mixed."""
+    """Return the sampling of a volume, with the filter for labels if it has these; SuppleError if it would mix them."""
     name, wanted = job.sampling.filter, job.volume.label_filter
     if job.volume.labels and name not in ("auto", wanted):
         fit = "auto" if wanted == "labels" else wanted
@@ -199,7 +200,7 @@ def warp_volume(
     tell: Tell = lambda step, done, total: None,
     **given: Any,
 ) -> Warped:
-    """Warp a volume, slab by slab: `supple.warp_file`, whose other arguments are ``given``, of a volume alone.
+    """Warp a volume file, slab by slab; ``given`` are other arguments of `supple.warp_file`.
 
     ``tell`` is called with ``"read"``, then with ``"warp"``, the number of finished slices, and their total, and with
     ``"write"``.
@@ -211,7 +212,7 @@ def warp_volume(
 
 
 def warp(job: Job, tell: Tell) -> Warped:
-    """Warp a volume, as in `warp_volume`, whose names and options are checked."""
+    """Warp a volume, as in `warp_volume`; the job's names and options are already checked."""
     source, target, known, grid, maps = job.source, job.target, job.volume, job.grid, job.maps
     sampling = filtered(job).along_all_axes()
     tell("read", 0, 1)
@@ -225,7 +226,7 @@ def warp(job: Job, tell: Tell) -> Warped:
     if not (suffix_of(target).startswith(".nii") or suffix_of(target) in derived.SUFFIXES):  # others hold no scaling
         volume = replace(volume, samples=volume.rescaled(), scaling=(1.0, 0.0))
     regrid = grid_on(grid, volume.grid, volume.name, maps)
-    seen = volume  # where the strokes are
+    seen = volume  # the volume that strokes refer to
     if grid is not None and grid.strokes and grid.reference is not None:
         seen = moved(volume, reference_grid(grid.reference, 3), grid)
     deformation = deformation_of(job.recipe, seen, world=known.world, fit=job.fit, maps=maps)
@@ -267,9 +268,9 @@ def warp(job: Job, tell: Tell) -> Warped:
 
 
 def background_of(volume: Volume, *, labels: bool | str = False) -> float:
-    """Return the scaled value of what lies outside of a volume: of labels 0, of DICOM its padding, or else the least.
+    """Return the scaled fill value outside a volume: 0 for labels, the padding of DICOM, or else the smallest value.
 
-    NaN and infinities are left out.
+    NaN and infinities are ignored.
     """
     slope, intercept = volume.scaling
     if labels or volume.is_segmentation or volume.components > 1:
@@ -280,7 +281,7 @@ def background_of(volume: Volume, *, labels: bool | str = False) -> float:
 
 
 def least_of(samples: Any, sign: int = 1) -> float:
-    """Return the least finite value of samples, times a sign; 0 if there is none."""
+    """Return the smallest finite value of ``sign * samples``; 0 if there is none."""
     least, rest = np.inf, (slice(None),) * (len(samples.shape) - 1)
     for k in range(samples.shape[0]):
         slab = np.asarray(samples[(slice(k, k + 1), *rest)], np.float64) * sign
@@ -289,7 +290,7 @@ def least_of(samples: Any, sign: int = 1) -> float:
 
 
 def moved(volume: Volume, grid: Grid, options: GridOptions) -> Volume:
-    """Return the volume to write on another grid, with room for its samples that takes no memory."""
+    """Return the volume to write on another grid, with placeholder samples that take no memory."""
     shape = volume.samples.shape
     shape = (shape[0], *grid.shape) if volume.series else (*grid.shape, *shape[3:])
     known = volume.geometry.convention
@@ -367,12 +368,12 @@ def _is_of_labels(some: Array | None) -> bool:
     if some is None:
         return False
     left, right = some[..., :-1], some[..., 1:]
-    seen = (left != some.flat[0]) | (right != some.flat[0])  # the first voxel is taken as background
+    seen = (left != some.flat[0]) | (right != some.flat[0])  # the first voxel is assumed to be background
     same = left == right
     areas = np.count_nonzero(same & seen) >= _AREAS * max(int(np.count_nonzero(seen)), 1)
     if not areas or _first_fraction(some) is not None:
         return False
-    # Labels meet without values in between; soft edges of masks have them.
+    # Labels meet without intermediate values, which soft edges of masks have.
     first, middle, last = (some[..., k : some.shape[-1] - 2 + k] for k in range(3))
     between = ((first < middle) & (middle < last)) | ((first > middle) & (middle > last))
     if np.count_nonzero(between) > _BETWEEN * np.count_nonzero(~same):
@@ -384,11 +385,11 @@ def _is_of_labels(some: Array | None) -> bool:
 
 
 def _written(volume: Volume, like: Volume, job: Job, space: Space, sampling: Sampling, tell: Tell) -> Certificate:
-    """Warp and write a volume, of the sizes and with the header of another one; return the accuracy of the map."""
+    """Warp and write a volume with the sizes and the header of ``like``; return the certificate of the map."""
     source, target, force = job.source, job.target, job.force
     series = volume.samples if volume.series else volume.samples[None]
     count, certificate = len(series), Certificate(0.0, 0.0)
-    suffix = suffix_of(source)  # of one file; a DICOM file that is written is a derived one, with its own UIDs
+    suffix = suffix_of(source)  # single files alone are copied; DICOM is always derived, with new UIDs
     alone = suffix and suffix == suffix_of(target) and suffix not in (".mhd", ".nhdr", ".hdr", ".img", ".dcm")
     if space.is_identity and os.path.isfile(source) and alone:
         tell("write", 0, 1)
@@ -441,7 +442,7 @@ def _written(volume: Volume, like: Volume, job: Job, space: Space, sampling: Sam
 
 
 def _copy_sidecar(source: PathLike, target: PathLike) -> None:
-    """Copy the sidecar of BIDS (JSON) of a NIfTI to its result; one that is there already stays as it is."""
+    """Copy the BIDS sidecar (JSON) of a NIfTI to the output; an existing one is kept."""
     if not (suffix_of(source).startswith(".nii") and suffix_of(target).startswith(".nii")):
         return
     theirs, ours = (Path(f"{os.fspath(path)[: -len(suffix_of(path))]}.json") for path in (source, target))
@@ -450,7 +451,7 @@ def _copy_sidecar(source: PathLike, target: PathLike) -> None:
         known = json.loads(text)
         if not isinstance(known, dict) or "strokes" in known or (ours.exists() and ours.read_text("utf-8") == text):
             return
-    except (OSError, ValueError, RecursionError):  # none, or something else
+    except (OSError, ValueError, RecursionError):  # missing, or not a sidecar
         return
     if os.path.lexists(ours):
         told = f"{shown(ours)} is there already, and stays as it is: {shown(theirs)} is not copied to it"
@@ -459,5 +460,5 @@ def _copy_sidecar(source: PathLike, target: PathLike) -> None:
     try:
         with replacing(ours) as place:
             place.write_text(text, encoding="utf-8")
-    except SuppleError as error:  # the volume itself is there
+    except SuppleError as error:  # only a warning: the volume is written
         warnings.warn(str(error), VolumeWarning, stacklevel=4)

@@ -1,4 +1,4 @@
-"""The limit of a stroke's strength, and the handling of strokes beyond it; and of pulls, each of whose points arrives.
+"""The largest strength of strokes that does not fold, how stronger ones are handled, and pulls of several points.
 
 A stroke's map T(p) = p + K_β(p) is one-to-one on its (convex) domain if the symmetric part of I + J_β is at
 least m > 0 at every point: T is strongly monotone then, and |(I + J_β)⁻¹| ≤ 1/m. J_β is linear in the
@@ -62,28 +62,28 @@ from supple.strokes import FoldPolicy, Stroke, legs, matrix_of, pack, poisson_of
 NEAR = 0.5
 """The distance from its target, in samples, within which a stroke's point has arrived."""
 
-_HIT = 1e-6  # samples: the accuracy of the handles of a pull
+_HIT = 1e-6  # samples: the accuracy with which handles of a pull arrive
 _ALONG = 1e-9  # of the radius: the rounding error of a drag along a face
 
 
 def resolve(stroke: Stroke, domain: Domain, on_fold: FoldPolicy) -> Resolved:
     """Return a stroke's safe rows: λ_min(sym(I + J_β)) ≥ m at every point, proven.
 
-    ``"flow"`` applies any drag, as a sequence of strokes whose pivots move along with the held point, until that is at
-    its target: a fixed border does not hold it back either. ``"damp"`` scales a drag that folds to the largest one that
-    does not, within 0.2 %; ``"error"`` refuses it (`FoldError`), and one that the border or a freeze mask holds back by
-    more than half a sample; the paper's border, ``"sine"``, only warns of that. SuppleError if the stroke does not fit
+    ``"flow"`` applies any drag, as a sequence of strokes whose pivots move with the grabbed point until it reaches its
+    target, within a fixed border too. ``"damp"`` scales a drag that folds to the largest one that does not, within
+    0.2 %. ``"error"`` raises FoldError for such a drag, and for one that the border or a freeze mask holds back by more
+    than half a sample; the paper's border, ``"sine"``, only warns of that. SuppleError if the stroke does not fit
     the domain; or if it cannot flow to its target, at all or in `MOST_SUBSTROKES` strokes. In a clip, sym(J) is that
     in the stroke's own metric, along the axes along which it moves points.
     """
-    return _resolved(stroke, domain, on_fold, current_spelling())  # which its warning follows
+    return _resolved(stroke, domain, on_fold, current_spelling())  # the warning is in the current spelling
 
 
 def farthest(stroke: Stroke, domain: Domain, on_fold: FoldPolicy) -> tuple[Stroke, Resolved]:
-    """Return a stroke at its strength, and its safe rows: beyond 1, or below 0, as much of it as is possible.
+    """Return a stroke at its strength, and its safe rows; for strengths beyond 1 or below 0, as much as is possible.
 
-    The part that is carried out, within a hundredth of the stroke, is in the warning, with the reason. Errors are those
-    of `resolve`, under ``"error"`` and of strengths from 0 to 1.
+    The warning has the applied part, within a hundredth of the stroke, and the reason. Errors are those of `resolve`,
+    for strengths from 0 to 1, and under ``"error"``.
     """
     whole, part, low, high = stroke, stroke.strength, 0.0, stroke.strength
     try:
@@ -102,16 +102,16 @@ def farthest(stroke: Stroke, domain: Domain, on_fold: FoldPolicy) -> tuple[Strok
             made, low = tried, middle
         except SuppleError:
             high = middle
-    if low == 0.0:  # it is not the strength that is wrong
+    if low == 0.0:  # any part of it fails: the strength is not the reason
         raise failure
     resolved = resolve(made, domain, on_fold)
     warning = f"{part:.0%} of {described(stroke)} is carried out at {low:.0%}, as far as is possible: {failure}"
-    if whole is stroke:  # beyond what strokes can be
+    if whole is stroke:  # the strength exceeds the range of strokes
         return made, replace(resolved, warning=warning)
     return whole, replace(resolved, alpha=resolved.alpha * low / part, cause="fold", warning=warning)
 
 
-# A stroke does not depend on those before it: after an edit, the rows of the others are reused.
+# Rows do not depend on earlier strokes: after an edit, those of the other strokes are reused.
 @lru_cache(maxsize=4096)
 def _resolved(stroke: Stroke, domain: Domain, on_fold: FoldPolicy, spelling: Spelling) -> Resolved:
     # In a clip, in the stroke's own metric, where a radius in time is as long as one in space.
@@ -130,7 +130,7 @@ def _resolved(stroke: Stroke, domain: Domain, on_fold: FoldPolicy, spelling: Spe
 
 
 def _held_back(stroke: Stroke, domain: Domain, on_fold: FoldPolicy, made: Resolved) -> Resolved:
-    """Say if what is frozen holds a stroke back: it multiplies its displacement, and nothing makes up for that."""
+    """Add a warning if a freeze mask holds a stroke back: no flow makes up for its factor."""
     what = "what is frozen" if stroke.matte is None else "its matte"
     if domain.time and domain.freeze is not None and domain.freeze.size[:2] == (1, 1):
         what = "what is held at the ends of the clip"
@@ -204,7 +204,7 @@ def _resolve(stroke: Stroke, domain: Domain, on_fold: FoldPolicy) -> Resolved:
 
 
 def _turned(stroke: Stroke, domain: Domain, on_fold: FoldPolicy) -> Resolved:
-    """Resolve an affine brush or a twist: its pivot stays, and equal parts of it add up to the whole there."""
+    """Resolve an affine brush or a twist: its pivot stays, and equal parts of it add up to all of it at the pivot."""
     axes, weights = domain.packed(), np.ones(3)
     table = pack([stroke], domain.spacing, time=domain.time)
     if _core.is_whole(numbers(table), axes, mask_of(domain)):
@@ -231,7 +231,7 @@ def _turned(stroke: Stroke, domain: Domain, on_fold: FoldPolicy) -> Resolved:
     def lowest(part: float, target: float, gap: float) -> float:
         return weakest(rows(part), axes, target, gap, mask_of(domain))[0]
 
-    # At the pivot, λ_min is the angle's cosine: 0 at a quarter turn, and the same again after a whole one.
+    # At the pivot, 1 + μ is the cosine of the angle: 0 at a quarter turn, and 1 again after a whole one.
     quarters = abs(stroke.angle or 0.0) / 90
     if on_fold == "flow":
         pieces = max(math.ceil(quarters), 1)
@@ -275,7 +275,7 @@ def _narrowness(row: np.void) -> float:
         t = r / row["reach"]
         m = (1 - t) ** 3 * (1 + t * (3 + 6 * t))
     phi = m * (row["p"][0] * rho2**-1.5 + row["q"][0] * rho2**-2.5)
-    half = 0.505 * float(np.abs(r * np.gradient(phi, r)).max())  # a hundredth more than is seen
+    half = 0.505 * float(np.abs(r * np.gradient(phi, r)).max())  # a hundredth more than sampled
     return math.hypot(1, half) - half
 
 
@@ -290,7 +290,7 @@ def _flow(stroke: Stroke, domain: Domain, table: Table) -> Resolved:
     held, fixed = is_held(position, axes), axes[:, 2] >= 0
     if held and fixed.any():
         first, last = axes[:, 0], axes[:, 1]
-        beta = beta_at(position, axes)  # a point on a face only slides along it
+        beta = beta_at(position, axes)  # 0 on a face, along which a point can only slide
         slides = fixed & (beta < 1e-100) & (np.abs(target - position) <= _ALONG * stroke.radius)
         target = np.where(slides, position, target)
         across = fixed & (target != position)  # the axes along which it has to leave its face
@@ -307,7 +307,7 @@ def _flow(stroke: Stroke, domain: Domain, table: Table) -> Resolved:
     drag = target - position
     if not drag.any():
         return Resolved(table[:0], stroke.at)
-    # A point outside a fixed border is not moved; a brush only passes there.
+    # A point outside a fixed border does not move; the brush passes there undamped.
     weights = axes if held and fixed.any() else None
     longest = (1 - FLOW_MARGIN) * limit(poisson, stroke.scales, stroke.reach, stroke.flat) * stroke.radius
     refused = held and math.hypot(*drag.tolist()) > MOST_SUBSTROKES * longest
@@ -331,7 +331,7 @@ def _flow(stroke: Stroke, domain: Domain, table: Table) -> Resolved:
     if refused:
         raise SuppleError(f"{described(stroke)} {too_many()}")
     table = np.concatenate(rows).view(table.dtype)[:, 0]  # as numbers: NumPy is slow to join records
-    # No row's singular values are below its margin, nor those of all rows below the margins' product.
+    # The singular values of a row are at least its margin, those of all rows at least the product of the margins.
     if margin ** len(rows) < SQUEEZED and narrowest(table, domain, table[:1]["pivot"], drag[None]) < SQUEEZED:
         raise SuppleError(f"{described(stroke)} {too_narrow()}")
     arrived = _arrived(stroke, table, domain)
@@ -339,7 +339,7 @@ def _flow(stroke: Stroke, domain: Domain, table: Table) -> Resolved:
 
 
 def pulled(stroke: Stroke, domain: Domain, on_fold: FoldPolicy) -> Resolved:
-    """Resolve a grab of several handles: forces f_j at the handles, with Σ_j K_ij f_j the displacement of each."""
+    """Resolve a grab of several handles: forces f_j at the handles, where Σ_j K_ij f_j is the drag of handle i."""
     axes = domain.packed()
     one = pack([replace(stroke, also=())], domain.spacing, time=domain.time)
     table = np.repeat(one, len(stroke.handles))
@@ -358,7 +358,7 @@ def pulled(stroke: Stroke, domain: Domain, on_fold: FoldPolicy) -> Resolved:
         return replace(made, cause="freeze") if held.min() < 1 else made
     table["force"] = _forces(table, goal - start, domain)
     _check_arrival(stroke, domain, _moved(table, domain, start), start, goal)
-    # Where μ is known to be that low anywhere, no closer bound is needed elsewhere.
+    # `sampled` bounds μ from above: where the lower bound is higher than that, it need not be closer.
     known = sampled(table, axes, mask_of(domain)) * (1 + GAP)
     lower, _ = weakest(table, axes, min(CLEARLY_SAFE, known), mask=mask_of(domain))
     alpha = 1.0 if lower >= MARGIN - 1 else (1 - MARGIN) / -lower * (1 - 1e-14)
@@ -377,7 +377,7 @@ def pulled(stroke: Stroke, domain: Domain, on_fold: FoldPolicy) -> Resolved:
 
 
 def _without(stroke: Stroke, frozen: npt.NDArray[np.bool_], domain: Domain, on_fold: FoldPolicy) -> Resolved:
-    """Resolve a pull without the handles that start or end where it is frozen: they cannot arrive, the others do."""
+    """Resolve a pull without the handles that start or end where it is frozen, so that the others arrive."""
     count, first = int(frozen.sum()), _handle(stroke, int(frozen.argmax()), domain)
     which = f"{first}, is" if count == 1 else f"{count} handles, {first}, for one, are"
     warning = f"{described(stroke)} is held back: {which} let go, since nothing moves where it is frozen"
@@ -404,7 +404,7 @@ def _flow_together(stroke: Stroke, domain: Domain, table: Table, goal: Floats) -
     steps: dict[bytes, tuple[Table, float]] = {}
 
     def step(position: Floats) -> tuple[Table, float]:
-        """Return the pull from a position to the goal, and an estimate of its μ; both passes ask for most of them."""
+        """Return the pull from a position to the goal, and an estimate of its μ; cached for the second pass."""
         key = position.tobytes()
         if key not in steps:
             group = table.copy()
@@ -417,7 +417,7 @@ def _flow_together(stroke: Stroke, domain: Domain, table: Table, goal: Floats) -
         pieces = math.ceil(estimate * (1 + FLOW_GAP) / (FLOW_MARGIN - 1))
         return weakest(rows, axes, (FLOW_MARGIN - 1) * max(pieces, 1), FLOW_GAP, mask_of(domain))[0]
 
-    # Proofs take most of the time: they begin when it is known that the handles arrive.
+    # Proofs take most of the time: the first pass checks that the handles arrive, the second one proves.
     for proving in (False, True):
         groups, margin, position, pieces = list[Table](), 1.0, start, 2
         while pieces > 1:
@@ -453,7 +453,7 @@ def _check_arrival(stroke: Stroke, domain: Domain, found: Floats, start: Floats,
 
 
 def _check_handles(stroke: Stroke, start: Floats, goal: Floats, domain: Domain, *, arrives: bool) -> None:
-    """Refuse handles that cannot arrive: at one place, or on a fixed edge; with one target, if all is to arrive."""
+    """Refuse handles that cannot arrive: equal places, a fixed edge, or equal targets where all must arrive."""
     axes = domain.packed()
     places: dict[Vector, int] = {}
     targets: dict[Vector, int] = {}
@@ -508,7 +508,7 @@ def _handle(stroke: Stroke, i: int, domain: Domain) -> str:
 
 
 def _conflict(stroke: Stroke, start: Floats, goal: Floats, domain: Domain) -> str:
-    """Name the two handles whose distance changes most on their straight ways, at the worst of these."""
+    """Name the two handles whose distance changes most on their straight ways, at its worst, in a message."""
     drag = goal - start
     apart, parting = start[:, None] - start, drag[:, None] - drag
     with np.errstate(divide="ignore", invalid="ignore"):

@@ -1,4 +1,4 @@
-"""The result of resolving a stroke: the rows that carry it out, and functions shared by their makers."""
+"""The result of resolving a stroke: its rows; and functions shared by the modules that resolve."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ Table = npt.NDArray[np.void]
 MOST_SUBSTROKES = 10_000
 FLOW_GAP = 0.05
 FLOW_MARGIN = 0.3  # substrokes are well-conditioned: Newton takes few steps, and errors grow little
-FREE_ENOUGH = 0.1  # of the freeze mask: where less is let through, handles of pulls, restores and smooths are let go
-SQUEEZED = 1e-5  # a sequence that leaves less of a length has lost too many digits to be undone
+FREE_ENOUGH = 0.1  # where the mask's factor is less, handles of pulls, restores and smooths are dropped
+SQUEEZED = 1e-5  # a sequence that shrinks a length more than this cannot be inverted accurately
 
 
 def too_narrow() -> str:
-    """Return what is wrong with a stroke that squeezes too much."""
+    """Return the end of a message: a stroke squeezes too much."""
     return (
         f"squeezes what lies around it more than {1 / SQUEEZED:g} times, which could not be undone; use a larger "
         f"radius, a point farther from the fixed border or what is frozen, or {argument('on_fold', 'damp')}"
@@ -36,7 +36,7 @@ def too_narrow() -> str:
 
 
 def too_many() -> str:
-    """Return what is wrong with a stroke that would take too many steps."""
+    """Return the end of a message: a stroke would take too many steps."""
     return (
         f"would take more than {MOST_SUBSTROKES} strokes to arrive without a fold; use a larger radius, a point "
         f"further from the border, or {argument('on_fold', 'damp')}"
@@ -52,11 +52,11 @@ def all_the_way(also: str = "") -> str:
 class Resolved:
     """The rows of a stroke, chosen so that the map does not fold.
 
-    ``rows`` are applied one after the other; there are none for the identity. ``arrived`` is where the stroke's point
-    is after them, in samples, and ``alpha`` the applied fraction of the drag. ``margin`` is a proven lower bound of
-    λ_min(sym(I + J_β)), for every row and at every point; of a twist that neither a border nor a mask changes, the
-    smallest singular value of I + J. ``cause`` is that of `Arrival`; ``warning``, the text if it was damped, or misses
-    its target.
+    ``rows`` are applied one after the other; the identity has none. ``arrived`` is the position of the stroke's point
+    after them, in samples, and ``alpha`` the applied fraction of the drag. ``margin`` is a proven lower bound of
+    λ_min(sym(I + J_β)), for every row and at every point; for a twist that neither a border nor a mask changes, of the
+    smallest singular value of I + J. ``cause`` is that of `Arrival`. ``warning`` is the text if it was damped, or
+    misses its target.
     """
 
     rows: Table
@@ -89,7 +89,7 @@ def described(stroke: Stroke) -> str:
 
 
 def warn_of_still(strokes: Sequence[Stroke]) -> None:
-    """Warn of strokes that move nothing, wherever they are."""
+    """Warn of strokes that move nothing in any medium."""
     for i, stroke in enumerate(strokes):
         if stroke.is_still and not stroke.hidden and stroke.brush != "freeze":
             which = f"stroke {i + 1} of {len(strokes)}: " if len(strokes) > 1 else ""
@@ -98,7 +98,7 @@ def warn_of_still(strokes: Sequence[Stroke]) -> None:
 
 
 def located(place: Sequence[float]) -> str:
-    """Spell a place in a message: of a clip, by the number of its frame."""
+    """Spell a place in a message; in a clip, with the number of its frame."""
     return spelled((*place[:2], *map(numbered, place[2:])))
 
 
@@ -115,7 +115,7 @@ def cut(x: float, digits: int) -> float:
 
 
 def padded(points: npt.ArrayLike, domain: Domain) -> Floats:
-    """Return a point (D,) or points (N, D), in samples, in physical units and with a third coordinate."""
+    """Return a point (D,) or points (N, D), given in samples, with three coordinates in physical units."""
     given = np.asarray(points, np.float64)
     made = np.zeros((*given.shape[:-1], 3))
     made[..., : domain.ndim] = given * domain.spacing
@@ -123,7 +123,7 @@ def padded(points: npt.ArrayLike, domain: Domain) -> Floats:
 
 
 def apart(one: Sequence[float], other: Sequence[float], domain: Domain) -> str:
-    """Spell the distance of two points, which are in samples, in a message: in the units that the domain has."""
+    """Spell the distance of two points, given in samples, in a message: in pixels, frames, voxels or millimetres."""
     off = np.abs(np.subtract(one, other))
     if domain.time:
         across, along = math.hypot(*off[:2]), float(off[2])
@@ -135,7 +135,7 @@ def apart(one: Sequence[float], other: Sequence[float], domain: Domain) -> str:
 
 
 def is_held(position: Floats, axes: Floats) -> bool:
-    """Return whether a point is within the fixed faces, where strokes move points."""
+    """Return whether a point is within the fixed faces, so that strokes move it."""
     faces = zip(position.tolist(), axes.tolist(), strict=True)
     return all(sigma < 0 or first <= x <= last for x, (first, last, sigma, *_) in faces)
 
@@ -157,7 +157,7 @@ def freedom_at(points: Floats, domain: Domain) -> Floats:
 
 
 def narrowest(table: Table, domain: Domain, starts: Floats, drags: Floats) -> float:
-    """Return the smallest singular value of the sequence's Jacobian found along some ways (N, 3) and around them."""
+    """Return the smallest singular value of the sequence's Jacobian, sampled along paths (N, 3) and around them."""
     axes = domain.packed()
     along = np.linspace(-1.0, 4.0, max(401 // len(starts), 16))
     ahead = (starts[:, None] + drags[:, None] * along[:, None]).reshape(-1, 3).T

@@ -29,9 +29,9 @@ CLEARLY_SAFE = -0.5 * (1 - MARGIN)
 GAP = 0.002
 """The relative gap of the bounds."""
 
-_LOOKED_AT = 128  # strokes of a group, the strongest
-_CLOSER = 16  # points around which a search goes on
-_FREE_GAP = 1e-9  # computed once for all strokes of a kind
+_LOOKED_AT = 128  # strokes of a group, the strongest, around which points are sampled
+_CLOSER = 16  # points around which the search continues
+_FREE_GAP = 1e-9  # computed once for all strokes with the same parameters
 _FLAT_GAP = 1e-3  # bounds of a plateau are wider
 _FARTHEST = 1000.0  # radii: without a limit, the strain is below 5e-6 of that at the pivot from there on
 _BEYOND = 5e-6
@@ -40,15 +40,15 @@ _BEYOND = 5e-6
 def limit(poisson: float, scales: int, reach: float | None = None, flat: float = 0.0) -> float:
     """Return the largest |f|/ε of a stroke with a free border: there, λ_min(sym(I + J)) reaches 0.
 
-    With a reach, in radii, the value is smaller by a factor of 1 - 10⁻⁹ at most, and with a plateau (``flat``, a part
-    of the radius) of 1 - 10⁻³.
+    With a reach, in radii, the result is at least 1 - 10⁻⁹ times the largest, and with a plateau (``flat``, a fraction
+    of the radius), 1 - 10⁻³ times.
     """
     return -1 / _free(poisson, scales, math.inf if reach is None else reach, flat)[0]
 
 
 @lru_cache(maxsize=1024)
 def _free(poisson: float, scales: int, reach: float, flat: float = 0.0) -> tuple[float, float, float]:
-    """Return bounds of μ for |f| = ε = 1 and a free border, and the place of the upper bound ahead of the pivot."""
+    """Return bounds of μ for |f| = ε = 1 and a free border, and the distance from the pivot at which it is reached."""
     stroke = Stroke(at=(0.0, 0.0), by=(1.0, 0.0), radius=1.0, poisson=poisson, scales=scales)
     row = pack([stroke], (1.0, 1.0))[0]
     if reach < math.inf:
@@ -83,15 +83,15 @@ def weakest(
 ) -> tuple[float, float]:
     """Return lower and upper bounds of μ for rows that act at once; for all of space, where the domain is free.
 
-    Above the ``target``, the lower bound need not be close to the upper one (0: it always is). Otherwise, they are
-    apart by the relative ``gap``, or three times that with a mask; rounding and the limited number of boxes can leave
+    The lower bound need not be close to the upper one above the ``target`` (0: it always is). Otherwise, they are
+    within the relative ``gap``, or three times that with a mask; rounding and the limited number of boxes can leave
     more, if |μ| is very small or the volume very anisotropic.
     """
     if len(rows) > 1 or rows["power"][0] != 1 or mask is not None or _slants(rows[0]):
         around, beyond = _around(rows, axes)
         if mask is not None:
-            gap *= 3  # beside what is frozen, close bounds take long
-        if mask is not None and beyond:  # beyond the domain, it does not vary
+            gap *= 3  # close bounds take long where it is frozen
+        if mask is not None and beyond:  # the mask is constant outside the domain
             around[:, 0], around[:, 1] = np.minimum(around[:, 0], axes[:, 0]), np.maximum(around[:, 1], axes[:, 1])
         lower, upper = _core.smallest_strain(numbers(rows), around, -math.inf, 0.0, target, gap, mask)
         return min(lower, beyond), upper
@@ -99,7 +99,7 @@ def weakest(
     force, bounded = row["force"], bool(fixed.any())
     if bounded:
         active = (axes[:, 1] > axes[:, 0]) & (axes[:, 2] > 0)
-        # In a plane through the pivot, the force across it has no displacement within it.
+        # In a plane through the pivot, the force across the plane has no displacement within it.
         force = np.where(fixed & ~active & (row["pivot"] == axes[:, 0]), 0.0, force)
         if not active.any():
             return 0.0, 0.0
@@ -112,16 +112,16 @@ def weakest(
     if bounded:
         unit = row.copy()
         unit["force"] = force / size
-        above = target / size * (1 - 1e-12)  # so that rounding does not put the result below it
+        above = target / size * (1 - 1e-12)  # rounding must not put the result below the target
         lower, upper = _core.smallest_strain(_numbers(unit), axes, lower, distance, above, gap)
     return lower * size, upper * size
 
 
 def sampled(rows: Table, axes: Floats, mask: _core.Freeze | None = None) -> float:
-    """Return the lowest λ_min(sym(J_β)) found at points near strokes that act at once: an upper bound of μ, and fast.
+    """Return the lowest λ_min(sym(J_β)) at sampled points near strokes that act at once: a fast upper bound of μ.
 
-    Points are around the pivots of the strongest strokes, between them and their neighbours, and on a lattice; then,
-    closer and closer, around those with the lowest values.
+    Points are around the pivots of the strongest strokes, between these and their neighbours, and on a lattice; then,
+    in smaller and smaller steps, around the points with the lowest values.
     """
     around, _ = _around(rows, axes)
     low, high = around[:, 0], around[:, 1]
@@ -162,12 +162,12 @@ def largest(rows: Table, axes: Floats, mask: _core.Freeze | None = None) -> floa
 
 
 def _around(rows: Table, axes: Floats) -> tuple[Floats, float]:
-    """Return the domain, and 0; or, if no axis is fixed, the space that rows reach, and a lower bound of μ beyond."""
+    """Return the domain, and 0; or, if no axis is fixed, a box around the reach, and a lower bound of μ outside."""
     if not np.all(axes[:, 2] < 0):
         return axes, 0.0
     radius = np.sqrt(rows["radius2"][:, :1])
     reach = np.minimum(rows["reach"][:, None], _FARTHEST * radius)
-    # Beside an image of one row, points move, too; not beside its plane.
+    # The map of an image of one row also moves points beside it, but an image has no points beside its plane.
     across = bool(rows["matrix"][:, 2].any() or rows["matrix"][:, :, 2].any() or rows["force"][:, 2].any())
     around, extended = axes.copy(), np.array([True, True, axes[2, 1] > axes[2, 0] or across])
     around[:, 0] = np.where(extended, (rows["pivot"] - reach).min(axis=0), axes[:, 0])
@@ -181,7 +181,7 @@ def _numbers(row: np.void) -> Floats:
 
 
 def _slants(row: np.void) -> bool:
-    """Return whether a drag goes both across and along a clip's time, which it does not couple."""
+    """Return whether a drag goes both in the plane and along time, which it does not couple."""
     return bool(not row["coupled"] and row["force"][2] and row["force"][:2].any())
 
 

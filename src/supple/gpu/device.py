@@ -35,7 +35,7 @@ LIMITS: dict[str, int] = {
 _BINDINGS = (1 << 30, 512 << 20, 256 << 20, LIMITS["max-storage-buffer-binding-size"])
 """The binding sizes to request, in bytes; the first that is granted is used."""
 
-TEXTURE = 512 << 20  # bytes of a texture, where storage buffers may not be larger
+TEXTURE = 512 << 20  # bytes of the largest texture, unless storage buffers may be larger
 
 _SIZES = ("max-storage-buffer-binding-size", "max-buffer-size")
 
@@ -58,9 +58,9 @@ class Gpu:
 
 
 def _know_types() -> None:
-    """Tell cffi wgpu's C types at once, which it would parse one by one, each with all names of the header.
+    """Register wgpu's C types with cffi, which would parse them one by one, each time with the whole header.
 
-    That takes half of the time in which a window opens. Where cffi is another than we know, nothing changes.
+    Parsing them takes half of the time to open a window. Where cffi's internals differ, nothing changes.
     """
     with contextlib.suppress(Exception):
         import _cffi_backend  # type: ignore[import-untyped]
@@ -113,7 +113,7 @@ def adapters() -> tuple[Any, ...]:
 
 
 def missing() -> str:
-    """Return the packages to install on this system."""
+    """Return the advice on what to install on this system, for messages."""
     if sys.platform == "darwin":
         return "macOS 10.13 or later with Metal is needed"
     if sys.platform == "win32":
@@ -147,7 +147,7 @@ def gpu_of(device: str) -> Gpu | None:
 
 
 def open_gpu(software: bool = True) -> Gpu:
-    """Return the device of the fastest adapter, a software one only if that will do; it stays open.
+    """Return the device of the fastest adapter, which stays open; without ``software``, only of hardware adapters.
 
     SuppleError if no adapter works; the message names what to install.
     """
@@ -182,14 +182,14 @@ _LOST = re.compile(r"\blost\b|\bdevice\b.*\bdestroyed\b", re.IGNORECASE)  # a te
 
 
 def failures() -> tuple[type[Exception], ...]:
-    """Return the exception types of a device that is lost or full, or of a driver that fails to compile a shader."""
+    """Return the types of exceptions raised if a device is lost or full, or a driver cannot compile a shader."""
     from wgpu import GPUError
 
     return (GPUError, MemoryError, RuntimeError, ArithmeticError)
 
 
 def trouble(gpu: Gpu, error: Exception) -> str:
-    """Return a failure in one short line; a lost device is dropped, and opened again at the next use."""
+    """Return an error's text in one short line; a lost device is dropped, and opened again at the next use."""
     from wgpu import GPUValidationError
 
     text = " ".join(str(error).split())

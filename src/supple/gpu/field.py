@@ -18,8 +18,8 @@ Floats = npt.NDArray[np.float64]
 STROKE = structure(source("field"), "Stroke")
 DOMAIN = structure(source("field"), "Domain")
 
-_EXACT = 9  # bits of a step: a multiple of it by up to 2¹⁵ is exact in float32
-_CALM = 8  # powers of 2
+_EXACT = 9  # bits of a rounded step: its multiples up to 2¹⁵ are exact in float32
+_CALM = 8  # the number of values above 0 of a calm (freeze.wgsl): powers of 2, from 1
 
 
 def packed(table: npt.NDArray[np.void]) -> npt.NDArray[np.void]:
@@ -48,7 +48,7 @@ def packed(table: npt.NDArray[np.void]) -> npt.NDArray[np.void]:
 
 
 def constants(table: npt.NDArray[np.void], freeze: Mask | None) -> dict[str, int]:
-    """Return the constants of shaders for a map: software adapters run both sides of a branch."""
+    """Return the shader constants of a map: not settings, since software adapters run both sides of a branch."""
     grabs = bool((table["power"] == 1).all() and not table["joined"].any())
     return {"GRABS": int(grabs), "FROZEN": int(freeze is not None)}
 
@@ -104,7 +104,7 @@ def _calmed(freeze: Mask) -> npt.NDArray[np.uint16]:
             low = np.minimum.reduce([_shifted(low, axis, k) for k in range(-1, 3)])
             high = np.maximum.reduce([_shifted(high, axis, k) for k in range(-1, 3)])
     near, calm = low != high, np.zeros(low.shape, np.uint16)
-    for power in range(_CALM):  # what is farther than 2ⁿ - 1 cells from any in which m varies
+    for power in range(_CALM):  # cells farther than 2ⁿ - 1 cells from any in which m varies
         calm[~near] = 1 << power
         if not near.any():
             calm[...] = 1 << (_CALM - 1)
@@ -116,13 +116,13 @@ def _calmed(freeze: Mask) -> npt.NDArray[np.uint16]:
 
 
 def _shifted(values: npt.NDArray[Any], axis: int, by: int) -> npt.NDArray[Any]:
-    """Return the values of the places farther on along an axis by some; beyond the end, those of the last."""
+    """Return the values ``by`` places farther along an axis; beyond the ends, the values at the ends."""
     n = values.shape[axis]
     return np.take(values, np.clip(np.arange(n) + by, 0, n - 1), axis)
 
 
 def stroke_buffers(gpu: Gpu, table: npt.NDArray[np.void], axes: Floats, freeze: Mask | None) -> dict[str, Any]:
-    """Return the buffers of field.wgsl: a domain, strokes, and the freeze mask that they are subject to, if any."""
+    """Return the buffers of field.wgsl: a domain, its strokes, and their freeze mask, if any."""
     mask = packed_mask(gpu, freeze)
     return {
         "domain": upload(gpu, domain(axes, freeze)),

@@ -13,7 +13,7 @@ from supple.gpu.device import Gpu
 
 Array = npt.NDArray[Any]
 
-DEEP = 2048  # texels along a side of a solid
+DEEP = 2048  # the most texels along a side of a 3D texture
 LEAST = 256  # bytes of the smallest buffer: one item must fit, even of an empty array
 _SLAB = 16 << 20  # bytes in one transfer
 _FORMATS = {
@@ -34,7 +34,7 @@ def room(gpu: Gpu, size: int) -> Any:
 
 
 def upload(gpu: Gpu, array: Array) -> Any:
-    """Return a buffer with an array's bytes, which are whole words."""
+    """Return a buffer with an array's bytes, which must be whole 32-bit words."""
     buffer, data = room(gpu, array.nbytes), np.ascontiguousarray(array).tobytes()
     if data:
         gpu.device.queue.write_buffer(buffer, 0, data)
@@ -43,7 +43,7 @@ def upload(gpu: Gpu, array: Array) -> Any:
 
 @contextlib.contextmanager
 def owned(*given: Any) -> Iterator[tuple[Any, ...]]:
-    """Buffers and textures that are destroyed when the block ends, after the work that was submitted in it."""
+    """Yield buffers and textures, and destroy them when the block ends, once the work submitted in it is done."""
     try:
         yield given
     finally:
@@ -65,7 +65,7 @@ def wait(gpu: Gpu) -> None:
 
 
 def solid(gpu: Gpu, shape: tuple[int, ...], dtype: Any, channels: int = 1, usage: str = "COPY_DST") -> Any:
-    """Return a texture of some layers, rows and texels in a row; MemoryError if there is no room for it.
+    """Return a 3D texture of ``shape`` (layers, rows, texels in a row); MemoryError if there is no room for it.
 
     Four channels of 8 bits are read as numbers from 0 to 1.
     """
@@ -84,14 +84,14 @@ def solid(gpu: Gpu, shape: tuple[int, ...], dtype: Any, channels: int = 1, usage
 
 
 def uploaded(gpu: Gpu, samples: Array) -> Any:
-    """Return a solid of samples (layers, rows, samples in a row, and optionally four channels)."""
+    """Return a 3D texture of samples (layers, rows, samples in a row, and optionally four channels)."""
     texture = solid(gpu, samples.shape[:3], samples.dtype, *samples.shape[3:])
     put(gpu, texture, samples)
     return texture
 
 
 def put(gpu: Gpu, texture: Any, samples: Array) -> None:
-    """Upload samples (layers, rows, samples in a row, and optionally channels) to a solid."""
+    """Upload samples (layers, rows, samples in a row, and optionally channels) to a 3D texture."""
     count, rows, width = samples.shape[:3]
     some = max(1, _SLAB // (samples.nbytes // count))
     for first in range(0, count, some):
@@ -122,7 +122,7 @@ def blank(gpu: Gpu, kind: str) -> Any:
 
 
 class Kept:
-    """A buffer that is used again: it is written only when its bytes change, and replaced only if it is too small."""
+    """A reusable buffer: it is written only when its bytes change, and replaced only if it is too small."""
 
     def __init__(self, gpu: Gpu) -> None:
         self._gpu, self._bytes = gpu, b""
@@ -130,7 +130,7 @@ class Kept:
         """The buffer of the last array; None at first."""
 
     def hold(self, array: Array) -> Any:
-        """Return the buffer with this array's bytes."""
+        """Write an array's bytes to the buffer, if they changed, and return it."""
         data = np.ascontiguousarray(array).tobytes()
         if self.buffer is None or self.buffer.size < len(data):
             self.buffer, self._bytes = room(self._gpu, 1 << (max(len(data), 1) - 1).bit_length()), b""
@@ -141,7 +141,7 @@ class Kept:
 
 
 class Bound:
-    """A bind group, rebuilt when one of its resources is another."""
+    """A bind group, rebuilt when one of its resources is replaced."""
 
     def __init__(self) -> None:
         self._given: dict[str, Any] = {}

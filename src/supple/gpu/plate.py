@@ -42,17 +42,17 @@ class Sight:
 
 
 class _Sheet:
-    """The buffers for drawing into one texture, and what is drawn there."""
+    """The buffers for drawing into one texture, and the inputs of the last draw."""
 
     def __init__(self, gpu: Gpu, texture: Any) -> None:
         self.gpu, self.texture, self.view = gpu, texture, texture.create_view()
         self.buffers = {name: Kept(gpu) for name in ("settings", "domain", "strokes", "mask")}
         self.bound = Bound()
         self.stale: Box = NOWHERE  # of pixels put since the last draw
-        self._drawn: tuple[Any, ...] = (None, self, {}, b"")  # of no mask either
+        self._drawn: tuple[Any, ...] = (None, self, {}, b"")  # ``self`` is unlike any mask, and unlike None
 
     def update(self, table: npt.NDArray[np.void], axes: Floats, freeze: Mask | None, settings: dict[str, Any]) -> bool:
-        """Upload what changed since the last draw; return whether nothing did. Tables and masks have identity."""
+        """Upload changes since the last draw; return whether there are none. Identity tells tables and masks apart."""
         before, drawn = self._drawn, (table, freeze, settings, axes.tobytes())
         if before[0] is table and before[1] is freeze and before[2:] == drawn[2:]:
             return True
@@ -75,11 +75,11 @@ class _Drawn:
         self._sheets: list[_Sheet] = []
 
     def _resources(self) -> dict[str, Any]:
-        """Return what is drawn, as the shader reads it."""
+        """Return the image as the shader's resources."""
         raise NotImplementedError
 
     def _settings(self) -> dict[str, Any]:
-        """Return the settings of what is drawn."""
+        """Return the image's settings for the shader."""
         raise NotImplementedError
 
     def _box(self, sheet: _Sheet, sight: Sight, alike: bool) -> tuple[int, int, int, int]:
@@ -111,7 +111,7 @@ class _Drawn:
             "origin": sight.origin,
             "scale": sight.scale,
             "frame": sight.time,
-            "time": 0.0 if (axes[2, :3] == (0.0, 0.0, 0.0)).all() else sight.time,  # frames may be pictures
+            "time": 0.0 if (axes[2, :3] == (0.0, 0.0, 0.0)).all() else sight.time,  # 0 if frames are separate pictures
             "source": self.size,
             "strokes": table.size,
             "overlay": OVERLAYS[sight.overlay],
@@ -149,13 +149,13 @@ class _Drawn:
         for sheet in self._sheets:
             if sheet.texture is texture:
                 return sheet
-        # Those of the warped image, of the original, and of both during a drag.
+        # At most four are needed: for the warped image, the original, and both of them during a drag.
         self._sheets = [*self._sheets[-3:], _Sheet(self.gpu, texture)]
         return self._sheets[-1]
 
 
 class Laid(_Drawn):
-    """A part of an image at one size, which is warped already: strokes are for the overlay only."""
+    """A part of an image that is already warped, at one scale: strokes are for the overlay only."""
 
     _laid = True
 
@@ -166,7 +166,7 @@ class Laid(_Drawn):
         self._view: Any = None
 
     def clear(self, corner: tuple[int, int], size: tuple[int, int], step: int) -> None:
-        """Make room for a part: its first pixel, its columns and rows, and the pixels of the image along each side."""
+        """Make room for a part: its first pixel, its columns and rows, and the image's pixels along a side of one."""
         self._corner, self._step = corner, step
         if self._texture is None or self._texture.size[:2] != size:
             self._texture = self.gpu.device.create_texture(
@@ -196,7 +196,7 @@ class Laid(_Drawn):
             return 0, 0, *sight.size
         ends = []
         for k, place in enumerate(sheet.stale):
-            beyond = -1.5 if k < 2 else 0.5  # a pixel is seen as far as the middles of those beside it
+            beyond = -1.5 if k < 2 else 0.5  # interpolation spreads a pixel as far as its neighbours' centres
             seen = ((place + beyond + 0.5) * self._step - 0.5 - sight.origin[k % 2]) / sight.scale
             end = min(max(seen + (-2 if k < 2 else 2), 0.0), float(sight.size[k % 2]))  # within a footprint
             ends.append(math.floor(end) if k < 2 else math.ceil(end))
@@ -234,7 +234,7 @@ class Plate(_Drawn):
         return gpu.binding // (4 * size[0] * size[1])
 
     def put(self, frame: int, pixels: npt.NDArray[np.uint8]) -> None:
-        """Hold a frame, of shape (rows, columns, 4): sRGB and opacity. The ring continues from the frames it holds."""
+        """Hold a frame (rows, columns, 4), sRGB and opacity. If it does not follow those held, the ring starts anew."""
         if not self.earliest <= frame <= self.earliest + self.held:
             self.earliest, self.held = frame, 0
         start = (frame % self.slots) * self.stride * 4

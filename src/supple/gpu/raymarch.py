@@ -18,7 +18,7 @@ Floats = npt.NDArray[np.float64]
 Singles = npt.NDArray[np.float32]
 
 RAYS = 1 << 16  # initial number of rays, before their time is known
-LONGEST = 8  # samples
+LONGEST = 8  # the most samples that share one read of the lattice
 _LARGEST = float(np.finfo(np.float32).max)
 _LOST = "points along rays could not be solved in its numbers"
 
@@ -171,7 +171,7 @@ def _rays(
 
 
 def _march(held: Held, mode: int, groups: tuple[int, ...], settings: dict[str, Any], given: dict[str, Any]) -> None:
-    """Run the shader of rays in a mode: settings and resources are those of the scene, and others."""
+    """Run the shader of rays in a mode; settings and resources are given in addition to those of the scene."""
     volume, lattice, filling = held.volume, held.lattice, held.filling
     copied, coloured = mode == PLAIN and filling is not None, volume.colours is not None
     chosen = {"MODE": mode, "WARPED": copied, "LABELLED": volume.labelled, "COLOURED": coloured}

@@ -12,9 +12,9 @@ from supple.gpu.memory import Bound, Kept
 from supple.gpu.shader import module, source
 
 Part = tuple[float, float, float, float, float, float, float, float, float]
-"""A part of a texture, in fractions of it: x and y of its first corner on screen, of its side across, and down.
+"""A part of a texture, in fractions of it: x and y of its upper left corner on screen, of its side across, and down.
 
-The rest is what these are divided by, in perspective: in the corner, and its changes across and down.
+The last three are the divisor of these, for perspective: at that corner, and its changes across and down.
 """
 ALL: Part = (0.0, 0.0, 1.0, 0.0, 0.0, 1.0, 1.0, 0.0, 0.0)
 
@@ -37,7 +37,7 @@ def pixels_of(gpu: Gpu, texture: Any) -> np.ndarray[Any, np.dtype[np.uint8]]:
 
 
 def composed(gpu: Gpu, size: tuple[int, int], draw: Callable[[Any], None]) -> np.ndarray[Any, np.dtype[np.uint8]]:
-    """Return what a function draws into a render pass of `PLAIN`, in columns and rows: (rows, columns, 4)."""
+    """Return the pixels (rows, columns, 4) that ``draw`` draws into a render pass of ``size`` (columns, rows)."""
     onto = gpu.device.create_texture(size=(*size, 1), format=PLAIN, usage="RENDER_ATTACHMENT|COPY_SRC")
     colours = {"view": onto.create_view(), "load_op": "clear", "store_op": "store", "clear_value": (0, 0, 0, 1)}
     encoder = gpu.device.create_command_encoder()

@@ -1,4 +1,4 @@
-"""Shaders, from one template: files that include others, numbers of the host, resources by name; and their runs."""
+"""Shaders: WGSL files with includes, constants of the host and resources by name; how they are compiled and run."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ CELL = 16  # pixels of the window from node to node
 BLOCK = 16  # voxels along a brick's side
 ROW = 2048  # entries of a transfer function in a layer of its texture
 PLAIN, LATTICE, EXACT = 0, 1, 2  # how rays find source points
-LOST, CUT = 1e30, 2e30  # in place of errors: of points without a solution, and of a driver that ends loops
-FAR = 3e38  # in place of depths
+LOST, CUT = 1e30, 2e30  # in place of an error: for points without a solution, and for drivers that end loops early
+FAR = 3e38  # in place of a depth, where there is none
 _NAMES = ("CELL", "BLOCK", "ROW", "PLAIN", "LATTICE", "EXACT", "LOST", "CUT", "FAR")
 _SHARED: dict[str, float] = _core.constants | {name: globals()[name] for name in _NAMES}
 
 MOST_GROUPS = 65535
-PART = 0.25  # seconds
+PART = 0.25  # seconds that a part of some work takes
 TURNS = 4  # iterations of a loop that tests whether loops run to their end (turns.wgsl)
 
 _USE = re.compile(r"^#use (.+)\n", re.MULTILINE)
@@ -51,7 +51,7 @@ _TYPES: dict[str, tuple[Any, int]] = {  # with the alignment
 
 @cache
 def source(name: str, voxel: str = "f32") -> str:
-    """Return the source of a shader, with those that it uses, and the numbers that it shares with the host.
+    """Return the source of a shader file, with its includes and the constants that it shares with the host.
 
     ``voxel`` is the type of a volume's samples: f32, i32 or u32.
     """
@@ -63,7 +63,7 @@ def _text(name: str) -> str:
 
 
 def template(text: str, voxel: str = "f32") -> str:
-    """Return a shader's text with those that it uses, its resources numbered, and the numbers of the host."""
+    """Return a shader's text with its includes, with bindings for its resources, and with the host's constants."""
     texts = {"": text}
     waiting = [text]
     while waiting:
@@ -81,7 +81,7 @@ def template(text: str, voxel: str = "f32") -> str:
 
 
 def structure(text: str, name: str) -> np.dtype[np.void]:
-    """Return the layout of a struct in a shader's text."""
+    """Return the memory layout of a struct in a shader's text, as a dtype."""
     found = re.search(rf"struct {name} \{{(.*?)\n\}}", text, re.DOTALL)
     assert found, name
     offsets, formats, names, end, widest = [], [], [], 0, 4
@@ -113,7 +113,7 @@ class Module:
         return values
 
     def group(self, given: Mapping[str, Any]) -> Any:
-        """Return the bind group of buffers, texture views and samplers; an empty one of its kind for None."""
+        """Return the bind group of buffers, texture views and samplers by name; None stands for an empty resource."""
         entries = []
         for k, (name, kind) in enumerate(self.kinds.items()):
             resource = given[name] if given[name] is not None else blank(self.gpu, kind)
@@ -190,7 +190,7 @@ def shader(gpu: Gpu, text: str, entry: str, constants: Mapping[str, float] | Non
 
 
 class Pace:
-    """The size of the parts of some work, from measured times: systems end work that takes seconds."""
+    """The number of items in each part of some work, from measured times: systems abort work that takes seconds."""
 
     def __init__(self, count: int, most: int = 1 << 30) -> None:
         self._most, self.count = most, min(count, most)

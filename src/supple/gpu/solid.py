@@ -32,7 +32,7 @@ class Volume:
 
 
 def hold(gpu: Gpu, samples: Array, labelled: bool = False, colours: Array | None = None) -> Volume:
-    """Upload samples (Z, H, W) of 8 or 16 bits or float32, two along each axis at least, to the device.
+    """Upload samples (Z, H, W) of 8 or 16 bits or float32, at least two along each axis, to the device.
 
     The voxels' own colours, (Z, H, W, 4), are uint8 or uint16, of which eleven bits are kept. MemoryError if the volume
     exceeds the largest texture, or there is no room for it.
@@ -69,10 +69,10 @@ _UNSOLVED = "nodes of the lattice could not be solved in its numbers"
 class Lattice:
     """Strokes on a device and, for a volume, the lattice of their inverse map."""
 
-    constants: dict[str, int]  # those with which shaders are compiled for the strokes
-    settings: dict[str, Any]  # what shaders read: numbers, buffers and the texture of nodes
-    resources: dict[str, Any]
-    step: int = 0  # voxels from node to node; the first is the first voxel; 0 without a lattice
+    constants: dict[str, int]  # the constants with which shaders are compiled for the strokes
+    settings: dict[str, Any]  # the shaders' settings
+    resources: dict[str, Any]  # buffers, and the texture of nodes
+    step: int = 0  # voxels from node to node, the first of which is the first voxel; 0 without a lattice
     # (nz, ny, nx, 16): the displacement T⁻¹(q) - q in voxels, x first, and the columns of ∂p/∂q; each padded with a 0
     nodes: npt.NDArray[np.float32] | None = None
     # A bound on the distance of a source point from T⁻¹(q), in voxels, from the checks, with their reserve; infinity
@@ -130,7 +130,7 @@ def solve(
                     )
                     gpu.device.queue.submit([encoder.finish()])
                     found = download(gpu, some, np.float32, count * layer // 4)
-                    # The memory layout: layers, two by two, rows, two by two, nodes.
+                    # In memory: layer, 2, row, 2, node, 4. The four vectors of a node lie two by two.
                     laid = found.reshape(count, 2, down, 2, pitch, 4)[..., :across, :].transpose(0, 2, 4, 1, 3, 5)
                     nodes[first : first + count] = laid.reshape(count, down, across, 16)
                 error, smooth = download(gpu, stats, np.float32, 2)  # waits
@@ -179,7 +179,7 @@ class Filling:
         return self.part
 
     def prepare(self) -> None:
-        """Run for no brick, since some devices compile only at the first run."""
+        """Run the shader for no brick, since some drivers compile only at the first run."""
         with owned(room(self._volume.gpu, 4)) as (lost,):
             self._make(0, 0, lost)
 

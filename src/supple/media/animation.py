@@ -1,4 +1,4 @@
-"""Animated WebP and PNG, written: stills in one file, of which each is the part that differs from the frame before."""
+"""Writers of animated WebP and PNG; each frame is a still of the part that differs from the frame before."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from supple.media.image.formats import bounds
 from supple.media.sequence import PictureSink
 
 Box = tuple[int, int, int, int]
-_SHORT, _LONGEST = 65535, (1 << 24) - 1  # of a PNG's fractions of a second, and of a WebP's milliseconds
+_SHORT, _LONGEST = 65535, (1 << 24) - 1  # limits: terms of a PNG's fractions (s), a WebP's duration (ms)
 
 
 class _Png:
@@ -46,7 +46,7 @@ class _Png:
                 if kind not in (b"IDAT", b"IEND"):
                     self._put(kind, data)
             self._put(b"acTL", self._begin)
-        lasts = max(lasts, Fraction(0))  # after rounding of those before
+        lasts = max(lasts, Fraction(0))  # negative if earlier durations were rounded up
         if max(lasts.as_integer_ratio()) > _SHORT:
             scale = max(1, int(_SHORT / max(float(lasts), 1.0)))
             lasts = Fraction(min(max(1, round(lasts * scale)), _SHORT), scale)
@@ -86,7 +86,7 @@ class _WebP:
             self._last = known
         left, top, width, height = box
         ticks = min(max(1, round(lasts * 1000)), _LONGEST)
-        head = _threes(left // 2, top // 2, width - 1, height - 1, ticks) + b"\2"  # replaces what is there
+        head = _threes(left // 2, top // 2, width - 1, height - 1, ticks) + b"\2"  # flags: overwrite, do not blend
         data = b"".join(_riff(kind, chunks[kind]) for kind in (b"ALPH", b"VP8 ", b"VP8L") if kind in chunks)
         self._put(b"ANMF", head + data)
         return Fraction(ticks, 1000)
@@ -119,7 +119,7 @@ def _threes(*numbers: int) -> bytes:
 
 
 class AnimationSink(PictureSink):
-    """A sink of frames; each is written when the next has come, as it lasts until then."""
+    """A sink of frames; each is written when the next arrives, which determines its duration."""
 
     def __init__(self, clip: Any, target: Path, folder: Path, file: IO[bytes], options: dict[str, Any]) -> None:
         super().__init__(clip, target.parent, folder, lambda k: target.name, options)
@@ -129,7 +129,7 @@ class AnimationSink(PictureSink):
             height, width = clip.layout.shape
             size = (height, width) if round(clip.rotation / 90) % 2 else (width, height)
             self._made = _WebP(file, size, clip.layout.groups[0].alpha, clip.plays or 0)
-            self._step = 2  # places are even
+            self._step = 2  # offsets of frames must be even
         self._before: Array | None = None
         self._due: tuple[bytes, Box] | None = None
         self._end = self._start = self._shown = Fraction(0)
@@ -149,7 +149,7 @@ class AnimationSink(PictureSink):
         (self._temporary / self._names(k)).unlink()
 
     def _flush(self, until: Fraction) -> None:
-        """Write the frame before, which is shown until then; what its time is rounded by, the next makes good."""
+        """Write the pending frame, shown until the time ``until``; its rounding error is carried to the next."""
         if self._due is not None:
             self._shown += self._made.add(*self._due, until - self._start - self._shown)
 

@@ -1,4 +1,4 @@
-"""The interface of a video and an image sequence that are open."""
+"""The interface that open videos and image sequences share."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from supple.engine.work import Array, Layout
 
 @dataclass(frozen=True, slots=True)
 class LazyFrame:
-    """A frame that is read, or unpacked, where it is copied."""
+    """A frame that is read or unpacked only when it is copied into arrays."""
 
     copy_to: Callable[[Sequence[Array]], None]
 
 
 class Clip(Protocol):
-    """An open medium that streams."""
+    """An open video or image sequence, whose frames are read in order."""
 
     @property
     def name(self) -> str:
-        """The name for one line of text."""
+        """The name for messages."""
 
     @property
     def count(self) -> int:
@@ -39,7 +39,7 @@ class Clip(Protocol):
 
     @property
     def plays(self) -> int | None:
-        """How often an animation plays, 0 for ever; None of others."""
+        """The number of times that an animation plays, 0 for ever; None for other clips."""
 
     @property
     def layout(self) -> Layout:
@@ -63,17 +63,17 @@ class Clip(Protocol):
 
     @property
     def display(self) -> tuple[int, int, int, int] | None:
-        """The part of frames in which points count: x and y of its first pixel, width and height; None for all."""
+        """The display window, to which points are relative: x and y of its first pixel, width and height; or None."""
 
     @property
     def unpictured(self) -> tuple[str, ...]:
-        """Streams that have no place in images of its frames: sound, subtitles."""
+        """The streams that are lost when frames are written as images: sound, subtitles."""
 
     def frames(self) -> Iterator[Frame]:
         """Decode all frames, in display order."""
 
     def time(self, k: int) -> tuple[int, int]:
-        """Return the start and the duration of frame ``k`` in ticks of `base`, once, in order, after reading it."""
+        """Return start and duration of frame ``k`` in ticks of `base`; call it once, in order, after reading it."""
 
     def to_rgb(self, arrays: Sequence[Array], *, deep: bool = False) -> Array:
         """Return a frame as RGB of 8 bits, (H, W, 3), or of 16 if ``deep`` and the frame has more than 8."""

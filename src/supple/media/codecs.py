@@ -1,4 +1,4 @@
-"""The table of video: containers, their codecs, and the encoders of these with their options."""
+"""The tables of video containers, codecs, and encoders with their options."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class Container:
     mp4: bool = False  # whether it holds the pixel aspect ratio itself, and adds up the durations of packets
     attachments: bool = False  # whether it holds files, and a cover as one of these
     timecode: bool = True  # whether it holds the timecode of the first frame
-    loops: bool = False  # whether it holds how often it plays
+    loops: bool = False  # whether it stores the number of times that it plays
     refused: frozenset[str] = frozenset()  # codecs that FFmpeg lists for it, and then refuses
     streams: frozenset[str] | None = None  # the supported codecs: others would be written, but hardly play
     options: Options = field(default_factory=dict)  # for every encoder
@@ -142,9 +142,9 @@ _ROWS = (
 )
 # fmt: on
 ENCODERS = {encoder.name: encoder for encoder in _ROWS}
-HASTY, FINE_CRF = 11, 8  # SVT-AV1 from this preset on, below this crf, writes what no decoder reads
+HASTY, FINE_CRF = 11, 8  # from this preset on and below this crf, SVT-AV1 writes streams that no decoder reads
 
-# The pixel formats of images as frames: for each type, of one to four channels.
+# The pixel formats of images as frames: by dtype, for one to four channels.
 STILLS = {
     "uint8": ("gray", "ya8", "rgb24", "rgba"),
     "uint16": ("gray16le", "ya16le", "rgb48le", "rgba64le"),

@@ -1,4 +1,4 @@
-"""Landmarks of faces, by names: tables, ``.pts`` of iBUG, XML of dlib and JSON of MediaPipe."""
+"""Named landmarks of faces from files: tables, ``.pts`` of iBUG, XML of dlib and JSON of MediaPipe."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _KINDS = {
 }
 _LISTS = ("face_landmarks", "faceLandmarks", "multi_face_landmarks", "multiFaceLandmarks")
 
-# The points of the 68 of iBUG 300-W, from 0, whose mean has a name. Left is the person's own left.
+# By name, the indices, from 0, of the iBUG 300-W points (68) whose mean it is. Left is the person's own left.
 _NAMES: dict[str, Sequence[int]] = {
     "left_eye": range(42, 48), "left_eye_inner": (42,), "left_eye_outer": (45,), "left_eye_top": (43, 44),
     "left_eye_bottom": (46, 47), "left_brow": (24,), "left_brow_inner": (22,), "left_brow_outer": (26,),
@@ -40,7 +40,7 @@ _NAMES: dict[str, Sequence[int]] = {
     "mouth": (48, 51, 54, 57), "mouth_left": (54,), "mouth_right": (48,), "mouth_top": (51,), "mouth_bottom": (57,),
     "chin": (8,), "jaw_left": (12,), "jaw_right": (4,), "ear_left": (16,), "ear_right": (0,),
 }  # fmt: skip
-# Where these 68 are in the face mesh of MediaPipe, of 468 points, or 478 with the irises.
+# The indices of these 68 in MediaPipe's face mesh of 468 points, or 478 with the irises.
 _MESH = (
     127, 234, 93, 132, 58, 136, 150, 176, 152, 400, 379, 365, 288, 361, 323, 454, 356,  # jaw
     70, 63, 105, 66, 107, 336, 296, 334, 293, 300,  # brows
@@ -57,21 +57,21 @@ def read_faces(path: PathLike, size: tuple[int, int], *, picture: PathLike = "",
     Parameters
     ----------
     path : str or os.PathLike
-        A table (.csv, .tsv, .txt) with columns x and y, and name, unless it has 68, 468 or 478 rows; ``.pts``, which
-        counts pixels from 1; ``.xml`` of dlib's imglab; or ``.json`` of MediaPipe's face landmarker, in parts of the
-        picture's width and height.
+        A table (.csv, .tsv, .txt) with columns x, y and name (not needed for 68, 468 or 478 rows); ``.pts``, which
+        counts pixels from 1; ``.xml`` of dlib's imglab; or ``.json`` of MediaPipe's face landmarker, in fractions of
+        the picture's width and height.
     size : (int, int)
         The width and height of the upright picture.
     picture : str or os.PathLike
-        The picture's name, by which its entry in the XML of several is found.
+        The picture's name, to find its entry in an XML for several pictures.
     turn : int
-        The orientation of the picture's header, 1 to 8: an XML may say that its landmarks are on the stored pixels.
+        The orientation in the picture's header, 1 to 8, for an XML whose landmarks are in stored, not upright pixels.
 
     Returns
     -------
     tuple of dict
         For each face, the pixel (x, y) of each name. Schemes of 68 (iBUG, dlib) and 468 or 478 points (MediaPipe) have
-        the names of the documentation, and all have ``point_0``, ``point_1`` … by their place in the file.
+        the names in docs/faces.md, and all have ``point_0``, ``point_1`` … in the order of the file.
 
     Raises
     ------
@@ -110,7 +110,7 @@ def read_faces(path: PathLike, size: tuple[int, int], *, picture: PathLike = "",
 
 
 def named(points: Floats, names: Sequence[str] = ()) -> Face:
-    """Return points (N, 2) by the names given, or by those of their scheme and ``point_0``, ``point_1`` and so on."""
+    """Return points (N, 2) by ``names``, or by those of their scheme and ``point_0``, ``point_1`` and so on."""
     places = np.asarray(points, np.float64)
     scheme = places if len(places) == 68 else places[[*_MESH]] if len(places) in (468, 478) else None
     face = {plain(name): at for name, at in zip(names, places, strict=False) if name}
@@ -124,14 +124,14 @@ def named(points: Floats, names: Sequence[str] = ()) -> Face:
 
 
 def plain(name: str) -> str:
-    """Return a landmark's name as it is compared: in lower case, with _ between words."""
+    """Return a landmark's name normalised for comparison: in lower case, with _ between words."""
     return re.sub(r"[\s-]+", "_", name.strip().lower())
 
 
 def _of_table(path: PathLike) -> Face:
     read = read_points(path)
     names, table = read.labels, read._as_read
-    if not any(names) and 0 not in table.columns:  # without a header, a first cell of text is a name
+    if not any(names) and 0 not in table.columns:  # without a header, text in the first cell is a name
         names = tuple(bare(table.records[row].cells[0]) for row in table.rows)
     if not any(names) and len(read.points) not in (68, 468, 478):
         raise SuppleError(f"{read.name} has {len(read.points)} points without names: give them in a column name")
@@ -165,7 +165,7 @@ def _of_xml(path: PathLike, text: str, size: tuple[int, int], picture: PathLike,
         if all(name.isdigit() for name in names):
             parts, names = sorted(parts, key=lambda part: int(part[0])), []
         points = np.array([at for _, *at in parts])
-        if across and size[0] != size[1]:  # on the stored pixels, which are upright once turned
+        if across and size[0] != size[1]:  # landmarks are in stored pixels: rotate them
             x, y = points.T[::-1]
             x, y = size[0] - 1 - x if turn in (6, 7) else x, size[1] - 1 - y if turn in (7, 8) else y
             points = np.stack([x, y], axis=1)

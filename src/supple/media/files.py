@@ -17,7 +17,7 @@ from supple.errors import SuppleError, argument, shown
 
 PathLike = str | os.PathLike[str]
 ROOTS = ("zarr.json", ".zgroup", ".zarray")
-"""Files of which a Zarr store has one."""
+"""The names of metadata files; the root of a Zarr store has one of them."""
 _NEW = os.O_CREAT | os.O_EXCL | os.O_WRONLY
 _SPARE = 65_536  # bytes: with less, a disk counts as full
 _ADVICE = {
@@ -34,7 +34,7 @@ def unreadable(path: PathLike, reason: str, advice: str = "give a whole copy of 
 
 @contextlib.contextmanager
 def refusing(refused: Callable[[Exception], Exception], *kinds: type[Exception]) -> Iterator[None]:
-    """Raise in place of errors of these kinds what ``refused`` makes of them; SuppleErrors stay as they are."""
+    """Raise ``refused(error)`` in place of an error of these kinds; SuppleErrors pass unchanged."""
     try:
         yield
     except SuppleError:
@@ -67,7 +67,7 @@ def head_of(
 
 
 def first_bytes(path: PathLike, count: int) -> bytes:
-    """Return the first bytes of a file; none of one that cannot be read."""
+    """Return the first bytes of a file; ``b""`` if it cannot be read."""
     try:
         with open(path, "rb") as file:
             return file.read(count)
@@ -83,7 +83,7 @@ def unwritable(path: PathLike, reason: str, advice: str) -> SuppleError:
 def check_suffix(
     path: PathLike, suffix: str, known: Container[str], what: str, advice: str, verb: str = "write"
 ) -> None:
-    """Raise SuppleError for a suffix, in lower case, that is not known, with the valid ones."""
+    """Raise SuppleError, which lists the valid suffixes, if a suffix in lower case is not in `known`."""
     if suffix.lower() not in known:
         found = f"the suffix {shown(suffix)}" if suffix else "a name without suffix"
         raise SuppleError(f"cannot {verb} {shown(path)}: {found} {what}: {advice}")
@@ -92,8 +92,8 @@ def check_suffix(
 def check_output(path: PathLike, *, force: bool = False) -> Path:
     """Return the path of an output file, absolute and without links; raise SuppleError if it cannot be written.
 
-    It exists and `force` is false; it is a folder or a special file; its folder is missing or read-only; or its name is
-    invalid.
+    It cannot be if it exists and `force` is false; if it is a folder or a special file; if its folder is missing or
+    read-only; or if its name is invalid.
     """
     name = shown(path)
     try:
@@ -138,13 +138,13 @@ def protocol_of(address: str) -> str:
 def check_store(path: PathLike, *, force: bool = False) -> Path:
     """Raise SuppleError for a Zarr store, a folder, that cannot be written; return its path: absolute, without links.
 
-    What is there is replaced, if `force` is true, only if it is a Zarr store too.
+    With `force`, an existing Zarr store may be replaced, but no other folder or file.
     """
     try:
         target = Path(os.path.realpath(path))
         there = os.path.lexists(target)
     except ValueError:
-        return check_output(path)  # its sentence on names that no file can have
+        return check_output(path)  # raises its error for an invalid name
     if not there:
         return check_output(path)
     if not force:
@@ -164,14 +164,14 @@ def replacing(path: PathLike, *, force: bool = False) -> Iterator[Path]:
     disk.
     """
     target = check_output(path, force=force)
-    # the end of the name keeps the suffixes, and a long name within what the file system takes
+    # 40 characters: the suffixes are kept, and a long name stays within the file system's limit
     temporary = target.with_name(f".{os.urandom(6).hex()}-{target.name[-40:]}")
     try:
         # created here: this tests the right to write, and takes the permission bits from the umask
         os.close(os.open(temporary, _NEW, 0o666))
         yield temporary
         with open(temporary, "rb+") as file:
-            os.fsync(file.fileno())  # a late "disk full" belongs before the rename
+            os.fsync(file.fileno())  # a full disk is reported here, before the rename
         if not _publish(temporary, target, force):
             raise _exists(path)
     except OSError as error:
@@ -203,7 +203,7 @@ def locked(path: Path) -> IO[bytes] | None:
         file.close()
         return None
     except OSError:
-        pass  # a disk without locks: rather offer it than lose it
+        pass  # a file system without locks: the file counts as unlocked
     return file
 
 
@@ -309,8 +309,8 @@ def replacing_together(paths: Sequence[PathLike], *, force: bool = False) -> Ite
     """Write several files or folders (.zarr), in any folders, which appear together or not at all.
 
     Yields, for each, a name in a hidden folder beside its place, where the block is to write it; if the block ends
-    early, by an interrupt too, all are removed. SuppleErrors that name these are raised with the names of the files.
-    Others are as in `check_output`, and for two paths of one file.
+    early, by an interrupt too, all are removed. In the block's SuppleErrors, the hidden names are replaced by `paths`.
+    SuppleError as in `check_output` or `check_store`, and if two paths are the same file.
     """
     checks = (check_store if Path(path).suffix.lower() == ".zarr" else check_output for path in paths)
     targets = [check(path, force=force) for check, path in zip(checks, paths, strict=True)]
@@ -343,7 +343,7 @@ def replacing_together(paths: Sequence[PathLike], *, force: bool = False) -> Ite
 
 
 def publish_all(moves: Iterable[tuple[Path, Path, PathLike, Path]], force: bool) -> None:
-    """Move all files to their places, or none; each has a name for messages, and a place for what is replaced."""
+    """Move all files, or none; a move is (file, target, name for messages, backup path of a replaced target)."""
     moved: list[tuple[Path, Path]] = []
     try:
         for made, target, name, aside in moves:

@@ -1,4 +1,4 @@
-"""The kind of a file: a picture, a clip or a volume; decided once, by its content and name, and by what is asked."""
+"""The kind of a file, picture, clip or volume; decided once, by its content, its name, the output and the strokes."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class Medium:
 
     @cached_property
     def grid(self) -> Grid | None:
-        """The grid of a picture in pixels, or of a volume in millimetres; None of a clip."""
+        """The grid of a picture in pixels, or of a volume in millimetres; None for a clip."""
         if self.kind == "volume":
             return self.outline.grid
         return picture_grid(self.path) if self.kind == "picture" else None
@@ -75,15 +75,15 @@ def opened(
     series: str | None = None,
     irregular: str | None = None,
 ) -> Medium:
-    """Return what a file, a pattern or a folder is taken for.
+    """Return a file, a pattern or a folder as a `Medium`, and decide its kind.
 
     Parameters
     ----------
     path : str or os.PathLike
     target : str or os.PathLike
-        What it becomes: several frames or a volume ask for more than a picture.
+        The output: where it has several frames or is a volume, the input is read as a clip or a volume if it can be.
     axes : int
-        3 if points, maps or the grid of the output have three: then the pages of a TIFF are a volume.
+        The number of axes of points, maps and the output's grid: with 3, the pages of a TIFF are a volume.
     moves : bool
         Whether strokes have a time or move from frame to frame: then animated pictures and a folder of pictures are a
         clip.

@@ -27,7 +27,7 @@ def has_number(path: PathLike) -> bool:
 
 
 def percent(path: PathLike) -> str:
-    """Return a pattern as ``f.%04d.exr`` that may be ``f.####.exr``, ``f.@@@@.exr`` or ``f.$F4.exr``."""
+    """Return a pattern in the form ``f.%04d.exr``; given are this, ``f.####.exr``, ``f.@@@@.exr`` or ``f.$F4.exr``."""
     text = os.fspath(path)
     folder, name = os.path.split(text)
     found = list(_SIGNS.finditer(name))

@@ -1,4 +1,4 @@
-"""Images of SimpleITK and nibabel in memory: their samples, their grid, and the same image with other samples."""
+"""Images of SimpleITK and nibabel in memory: their samples and grids, and copies of them with other samples."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ _NAME = "the image"
 
 
 class Held(NamedTuple):
-    """The samples of an image, (H, W[, C]) or (Z, H, W[, C]), where times are channels too; and where they lie.
+    """The samples of an image, (H, W[, C]) or (Z, H, W[, C]), with times as channels; and their grid.
 
-    ``like`` returns an image of the same library, class and header with other samples, on another grid if that is
-    given: samples as these are, of any dtype.
+    ``like(samples, grid)`` returns an image of the same library, class and header with other samples of that layout
+    and any dtype, on another grid unless it is None.
     """
 
     samples: Array
@@ -30,9 +30,9 @@ class Held(NamedTuple):
 
 
 def held(image: Any) -> Held | None:
-    """Return what an image of SimpleITK or nibabel holds; None of anything else.
+    """Return the samples and the grid of an image of SimpleITK or nibabel; None for other objects.
 
-    SuppleError if its voxels are no real numbers, or it does not say where they lie.
+    SuppleError if its voxels are not real numbers, or it has no geometry.
     """
     if library_of(image) == "nibabel":
         return _of_nibabel(image)
@@ -41,7 +41,7 @@ def held(image: Any) -> Held | None:
 
 def _of_itk(image: Any) -> Held:
     sitk = itk.imported()
-    if "label" in image.GetPixelIDTypeAsString():  # whose voxels ITK does not give, and ends the process where asked
+    if "label" in image.GetPixelIDTypeAsString():  # accessing its voxels would crash the process
         raise SuppleError("an image of SimpleITK must have voxels, found a label map: SimpleITK.LabelMapToLabel(image)")
     itk.check_voxels(_NAME, image)
     ndim, several = image.GetDimension(), image.GetNumberOfComponentsPerPixel() > 1

@@ -26,7 +26,7 @@ _FORMATS = {**KINDS, **meshes.KINDS}
 _GIVE = "give a .csv, .tsv, .txt, .fcsv or .mrk.json file"
 _MESHES = f"{_GIVE}, or a mesh: {', '.join(meshes.KINDS)}"
 FLIP = np.array([-1.0, -1.0, 1.0])
-"""Between LPS and RAS."""
+"""Signs that convert positions between LPS and RAS."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -66,7 +66,7 @@ class PointFile:
     normals_at: Ints = field(default_factory=lambda: np.zeros(0, np.intp))
 
     def parts(self) -> list[Part]:
-        """Return what joins the points of a mesh; SuppleError if nothing does, or that is damaged."""
+        """Return the triangles and lines of a mesh; SuppleError if it has none, or they are damaged."""
         with meshes.parsing(self.name):
             made = self._as_read.parts() if isinstance(self._as_read, Mesh) else []
         if not any(len(part.triangles) + len(part.lines) for part in made):
@@ -74,7 +74,7 @@ class PointFile:
         return made
 
 
-# What follows from the control points of a plane; and its size, if it is automatic.
+# Entries of a plane that Slicer derives from its control points; and its size, derived if it is automatic.
 _OF_PLANES = ("center", "origin", "normal", "orientation", "baseToNode", "baseToNodeMatrix")
 _SIZES = ("size", "planeBounds")
 
@@ -89,7 +89,7 @@ class _Markups:
 
 
 def check_target(path: PathLike, source: PathLike) -> None:
-    """Raise SuppleError for a name of another kind of file than ``source``."""
+    """Raise SuppleError if ``path`` is of another kind of file than ``source``."""
     kind = _kind("read", source)
     if _kind("write", path) != kind:
         suffixes = " or ".join(suffix for suffix, known in _FORMATS.items() if known == kind)
@@ -101,12 +101,11 @@ def read_points(path: PathLike, *, mesh: bool = False, series: Volume | None = N
 
     A table (.csv, .tsv, .txt) is separated by commas, semicolons or tabs. A header, which may be a comment, names its
     columns: x, y, and z, t or frame if there is one; or r, a, s or l, p, s for positions in millimetres, or i, j, k.
-    Without a header, the first three columns of numbers are the coordinates, or both where there are two. Comments
-    begin with #.
+    Without a header, the first three columns of numbers are the coordinates, or the only two. Comments begin with #.
 
-    Of a .mrk.json, these are the control points of all markups that are placed, in the convention of the first.
-    ``series`` is what a structure set of DICOM refers to when its points are written. SuppleError, with the line, for a
-    file that is damaged or holds no points.
+    The points of a .mrk.json are the placed control points of all markups, in the convention of the first.
+    ``series`` is the volume to which a DICOM structure set refers when its points are written. SuppleError, with the
+    line, for a file that is damaged or holds no points.
     """
     name, kind = shown(path), _kind("read", path, mesh=mesh)
     if kind in meshes.KINDS.values():
@@ -132,13 +131,13 @@ def write_points(
 ) -> None:
     """Write points into a copy of the file that they came from; it appears whole or not at all.
 
-    All other contents are kept, and so is the text of unchanged coordinates. What Slicer measures (lengths, angles) is
-    left out of a markup that moves, and so is what it derives from the points of a plane. A region (ROI), and a plane
-    of a point and a normal, are refused where they move.
+    All other contents are kept, and so is the text of unchanged coordinates. For a markup that moves, Slicer's
+    measurements (lengths, angles) and entries that it derives from the points of a plane are removed. A region (ROI),
+    and a plane of a point and a normal, must not move: SuppleError.
 
-    The suffix, and the shape and convention of the points, are those of ``like``. ``notes``, a name and
-    a number for each point, become the last column of a CSV, or the one of that name; ``normals`` are those of a mesh,
-    by default those of ``like``.
+    The suffix, and the shape and convention of the points, are those of ``like``. ``notes``, a name and a number for
+    each point, become the last column of a CSV, or the one of that name; ``normals`` are those of a mesh, by default
+    those of ``like``.
     """
     check_target(path, f"x{next(suffix for suffix, kind in _FORMATS.items() if kind == like.kind)}")
     made = np.asarray(points, np.float64)
@@ -168,7 +167,7 @@ def _text(path: PathLike) -> str:
         raise unreadable(path, "it is empty", _GIVE)
     if b"\0" in data:
         raise unreadable(path, "it is no text in UTF-8", "save it as that")
-    return data.decode("utf-8", "surrogateescape")  # so that labels in other encodings are kept
+    return data.decode("utf-8", "surrogateescape")  # keeps labels in other encodings
 
 
 def _from_json(name: str, text: str) -> PointFile:
@@ -201,7 +200,7 @@ def _from_json(name: str, text: str) -> PointFile:
 
 
 def _numbers(value: object) -> Floats:
-    given = np.array(value)  # neither text nor truth values are coordinates
+    given = np.array(value)  # text and booleans are not coordinates
     made = given.astype(np.float64) if given.dtype.kind in "iuf" else np.empty(0)
     if made.shape != (3,) or not (np.abs(made) <= LARGEST).all():
         raise ValueError(f"{value_shown(value)} is not three numbers from {-LARGEST:g} to {LARGEST:g}")
@@ -209,7 +208,7 @@ def _numbers(value: object) -> Floats:
 
 
 def _drop_measured(markup: dict[str, Any], m: int, name: str) -> None:
-    """Leave out what Slicer computes from control points that moved; SuppleError for what has more than these."""
+    """Remove entries that Slicer computes from moved control points; SuppleError if the markup has other geometry."""
     for measured in markup.get("measurements") or ():
         for key in ("value", "controlPointValues") if isinstance(measured, dict) else ():
             measured.pop(key, None)

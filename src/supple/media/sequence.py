@@ -43,10 +43,10 @@ class Pictures:
     starts: Sequence[int] = ()  # start times of the frames, and the end, in milliseconds; empty for a constant rate
     rotation, mirrored = 0.0, False  # for display: degrees counterclockwise, after frames are mirrored left to right
     fields = ""  # the field of interlaced frames that is shown first
-    plays: int | None = None  # how often it plays, as in `supple.media.video.source.VideoSource`
-    unpictured: tuple[str, ...] = ()  # streams that have no place in images of its frames: sound, subtitles
+    plays: int | None = None  # the number of times that it plays, as in `supple.media.base.Clip`
+    unpictured: tuple[str, ...] = ()  # streams that are lost in images: sound, subtitles
     extra: tuple[int, ...] = ()  # the meanings of the channels above the colours, as in `Picture`
-    # the part of frames in which points count: x and y of its first pixel, width and height; None for all
+    # the display window, to which points are relative: x and y of its first pixel, width and height; or None
     display: tuple[int, int, int, int] | None = None
 
     def __init__(self, name: str, paths: list[Path], rate: Fraction, first: int | None) -> None:
@@ -114,7 +114,7 @@ class Pictures:
         return pixels
 
     def picture(self, k: int) -> tuple[Picture, list[str]]:
-        """Return the image of frame ``k`` with its header, but without pixels; and a list of losses."""
+        """Return the image of frame ``k`` with its header but without pixels, and the names of lost metadata."""
         path, group = self._place(k), self.layout.groups[0]
         image, form = opened(path)
         _, orientation, bits = facts(image)
@@ -197,7 +197,7 @@ class Animation(Pictures):
             self.starts = [100 * k for k in range(pages + 1)]
         self.name, self.first, self.interpretation = shown(path), None, str(image.interpretation)
         self.extra = _extra(image)
-        self.paths = [self._path.with_name(f"{k + 1:05d}.png") for k in range(pages)]  # the names as a sequence
+        self.paths = [self._path.with_name(f"{k + 1:05d}.png") for k in range(pages)]  # the names of an output sequence
         self.rate = Fraction(1000 * pages, self.starts[-1])
         self.layout = _layout(self._path, image)
 
@@ -222,9 +222,9 @@ def open_clip(path: PathLike, *, rate: float | Fraction = 24, target: PathLike |
     """Open an image sequence as a clip.
 
     ``path`` is a pattern such as ``frames/%05d.png`` or ``frames/#####.png`` for consecutively numbered images, from
-    any first number; a folder, for all its images, the 9th before the 10th; or an animated WebP, which has times of its
-    own. Frames a second of 23.976, 29.97 and the like are rounded to 24000/1001 and 30000/1001. ``target`` is what is
-    written of it: only a sequence of OpenEXR takes over all channels and windows of another.
+    any first number; a folder, for all its images, the 9th before the 10th; or an animated WebP, which has its own
+    times. Frame rates such as 23.976 and 29.97 are rounded to 24000/1001 and 30000/1001. ``target`` is the output: all
+    channels and windows of OpenEXR files are read only if it is a sequence of OpenEXR files, too.
 
     SuppleError if there are no such images, or one is missing, unreadable, or of another size or type than the first.
     """
@@ -317,7 +317,7 @@ class PictureSink:
         if clip.aspect not in (None, 1):
             wide = f"pixels are {clip.aspect} as wide as high: they are left as they are stored"
             warnings.warn(f"{shown(folder / names(0))} cannot say that {wide}", ClipWarning, stacklevel=4)
-        self.copied = 0  # files that are those of the source
+        self.copied = 0  # the number of files copied from the source
 
     def write(self, arrays: Sequence[Array], k: int, *, still: bool = False) -> None:
         """Write frame ``k``: arrays in the clip's layout."""
@@ -331,7 +331,7 @@ class PictureSink:
         self._save(k, *self._rendered(arrays, k))
 
     def _rendered(self, arrays: Sequence[Array], k: int) -> tuple[Array, Picture | None]:
-        """Return the pixels of frame ``k``, (H, W, C), and what has its header."""
+        """Return the pixels of frame ``k``, (H, W, C), and a picture with its header, or None."""
         clip, layout = self._clip, self._clip.layout
         if isinstance(clip, Layered):
             return arrays[0], clip.layered(arrays, k)
@@ -385,8 +385,8 @@ def writer(
 ) -> Iterator[PictureSink]:
     """Write a clip's frames as images, which appear all together or not at all; or ``only`` one, as an image file.
 
-    Each image gets the profile, the EXIF and the like of its source. A video's frames become RGB or RGBA of 8 bits, or
-    of 16 if it has more than 8 and they can be converted; and are turned upright. ``target`` is a pattern such as
+    Each image gets the profile and the metadata of its source. A video's frames become RGB or RGBA of 8 bits, or of 16
+    if it has more than 8 and they can be converted; and are turned upright. ``target`` is a pattern such as
     ``out/%05d.png``, or a folder, which is created if it is missing. Numbers, and names in a folder, are those of the
     source's images; a video's start at ``first``, 1 by default, and are ``%05d.png``. Unchanged frames of a sequence
     are copies of its files, if these are of the same format. ``quality``, ``lossless`` and ``compression`` are as in

@@ -11,10 +11,10 @@ CLIPS = frozenset(
     {".3gp", ".asf", ".avi", ".flv", ".h264", ".h265", ".hevc", ".ivf", ".m2ts", ".m2v", ".m4v", ".mj2", ".mkv"}
     | {".mov", ".mp4", ".mpeg", ".mpg", ".mts", ".mxf", ".ogv", ".ts", ".vob", ".webm", ".wmv", ".y4m"}
 )
-"""The suffixes that are always taken for videos; other files are if the user says so."""
+"""The suffixes of files that are always read as videos; other files are if the output is a video."""
 CLIPS_OUT = (".mp4", ".mov", ".mkv", ".webm", ".avi", ".gif")
 ANIMATED = (".webp", ".apng")
-"""The suffixes of pictures that a clip may become; and .png, if it is a PNG itself."""
+"""The suffixes of animated pictures that a clip is written as; .png is one only if the source is a PNG."""
 FORMATS = {
     **dict.fromkeys((".nii", ".nii.gz", ".hdr", ".img"), "NIfTI"),
     **dict.fromkeys((".nrrd", ".nhdr"), "NRRD"),

@@ -1,4 +1,4 @@
-"""Tables of points in text: all but the coordinates is kept, byte for byte."""
+"""Text tables of points; writing replaces the coordinates, and keeps all other bytes."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from supple.errors import SuppleError
 from supple.space.checks import LARGEST, value_shown
 from supple.space.geometry import Floats
 
-_MARK = "\ufeff"  # which Excel puts before UTF-8
+_MARK = "\ufeff"  # byte order mark, which Excel writes
 _SYSTEMS = {"0": "RAS", "RAS": "RAS", "1": "LPS", "LPS": "LPS", "2": "index", "IJK": "index"}
 _PLAIN = "-+.0123456789"
 _TRIPLES = {"ras": "RAS", "lps": "LPS", "ijk": "index"}
@@ -43,7 +43,7 @@ class Table:
     columns: tuple[int, ...]
 
     def written(self, points: Floats, before: Floats, notes: tuple[str, list[str]] | None) -> str:
-        """Return the text with other points, shape (N, 2) or (N, 3), and with ``notes`` in the column of their name."""
+        """Return the text with other points, shape (N, 2) or (N, 3), and with ``notes``, (column name, its cells)."""
         records = [list(record.cells) for record in self.records]
         for row, new, old in zip(self.rows, points.tolist(), before.tolist(), strict=True):
             for column, x, was in zip(self.columns, new, old, strict=False):
@@ -105,7 +105,7 @@ def parsed(name: str, text: str, *, fcsv: bool) -> tuple[Table, Floats, str, tup
             found = f"it has {len(cells)} cell{'s' if len(cells) != 1 else ''}"
             _refuse(name, records[row], found, f"give {max(columns) + 1 if fcsv else wide}")
     points = _all_numbers([[records[row].cells[c] for row in rows] for c in columns])
-    if points is None:  # which names the line at fault, or reads quoted numbers
+    if points is None:  # cell by cell: for quoted numbers, or an error with the line
         points = np.array([[_coordinate(name, records[row], c) for c in columns] for row in rows])
     table = Table(text[: len(text) - len(plain)], records, delimiter, header, rows, columns)
     return table, points, convention or stated, _labels(table, fcsv), told
@@ -139,7 +139,7 @@ def _is_comment(line: str) -> bool:
 
 
 def _lines(name: str, text: str) -> list[tuple[int, str, str]]:
-    """Yield lines as (number, text, line ending); lines within quotes are joined."""
+    """Return lines as (number, text, line ending); lines within quotes are joined."""
     made, held, begun = [], "", 1
     for number, line in enumerate(io.StringIO(text, newline=""), 1):
         begun, held = begun if held else number, held + line
@@ -160,7 +160,7 @@ def _number(cell: str) -> float | None:
 
 
 def _all_numbers(columns: list[list[str]]) -> Floats | None:
-    """Return columns of plain numbers as (N, columns), at once; None if any cell is something else."""
+    """Convert columns of plain numbers at once, to shape (N, columns); None if any cell is something else."""
     try:
         made = np.array([list(map(float, cells)) for cells in columns]).T
     except ValueError:
@@ -194,7 +194,7 @@ def _slicers(
 def _headed(
     name: str, records: list[_Record], comments: list[int], data: list[int]
 ) -> tuple[int | None, tuple[int, ...], str | None]:
-    """Return the header row, if there is one, the columns of the coordinates, and the convention of their names."""
+    """Return the header row or None, the columns of coordinates, and the convention that their names imply or None."""
     first = records[data[0]]
     numbers = [c for c, cell in enumerate(first.cells) if _number(cell) is not None]
     if not numbers:

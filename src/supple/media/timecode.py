@@ -1,4 +1,4 @@
-"""Frames of a clip as people write them: numbers from any first one, and timecodes (SMPTE ST 12-1)."""
+"""Frame numbers that start at any number, and timecodes (SMPTE ST 12-1)."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from fractions import Fraction
 from supple.errors import SuppleError
 
 PATTERN = r"\d+:\d\d:\d\d[:;.]\d\d\d?"
-"""A timecode, as a regular expression: hours, minutes, seconds and frames; numbers are dropped after ``;`` or ``.``"""
+"""The regular expression of a timecode: hours, minutes, seconds, frames; ``;`` or ``.`` marks drop-frame timecode."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,7 +24,7 @@ class Numbering:
     varies: bool = False  # whether the rate varies, so that timecodes would not be times
 
     def read(self, what: str, text: str) -> int:
-        """Return the frame of a number or a timecode, counted from 0; SuppleError for one that the clip does not have.
+        """Return the index of the frame with a number or a timecode; SuppleError for one that the clip does not have.
 
         ``what`` is the argument, for messages.
         """
@@ -63,7 +63,7 @@ class Numbering:
         return self._counted("the timecode", self.start) if re.fullmatch(PATTERN, self.start) else 0
 
     def _drops(self, text: str) -> int:
-        """Return how many numbers a timecode leaves out at each minute, but not at every tenth."""
+        """Return how many numbers drop-frame timecode skips each minute, except every tenth; 0 for other timecodes."""
         return 2 * (self._base // 30) if re.search(r"[;.]", text) and self._base % 30 == 0 else 0
 
     def _dropped(self, minutes: int, drops: int) -> int:

@@ -1,4 +1,4 @@
-"""Tracks: where a tracker saw points in the frames of a clip; tables, Nuke's curves, After Effects' keyframes."""
+"""Tracks, the positions of points in the frames of a clip: tables, Nuke's curves, After Effects' keyframes."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Convention = Literal["pixels", "nuke", "ae"]
 CONVENTIONS: tuple[str, ...] = get_args(Convention)
 
 _GIVE = "give a table frame,x,y, curves of Nuke, or keyframes copied from After Effects"
-_FIRST = {"pixels": 0, "nuke": 1, "ae": 0}  # what each calls the first frame of a clip
+_FIRST = {"pixels": 0, "nuke": 1, "ae": 0}  # the number of a clip's first frame, by convention
 _AE = "Adobe After Effects"
 _COLUMNS = ("frame", "x", "y", "name")
 _CURVE = re.compile(r"\{\s*curve\b([^{}]*)\}")
@@ -31,10 +31,10 @@ _KEYED = re.compile(rf"x({_NUMBER.pattern})")
 
 @dataclass(frozen=True, slots=True)
 class Track:
-    """Where a point is in some frames of a clip: its name in the file, which may be empty, and its keys.
+    """The positions of a point in some frames of a clip: its name in the file, which may be empty, and its keys.
 
-    Keys are frames, counted from 0 in ascending order, with x and y: pixel centres are at whole numbers, from the top
-    left one, which is (0, 0).
+    A key is (frame, x, y), in ascending order of frames, which count from 0. Pixel centres are at integers; the centre
+    of the top left pixel is (0, 0).
     """
 
     name: str
@@ -42,7 +42,7 @@ class Track:
 
 
 class _Key(NamedTuple):
-    """A point of a row: the place in the file, for messages, and what it says."""
+    """A key as read: its place in the file, for messages, and its frame and position."""
 
     where: str
     frame: float
@@ -67,14 +67,13 @@ def read_tracks(
     separated by commas, semicolons, tabs or spaces. Scripts hold curves of points, of a tracker or a corner pin;
     keyframes are positions, corner pins and trackers.
 
-    ``convention`` says how a table counts: ``"pixels"``: from the top left pixel, whose centre is (0, 0), and frames
-    from 0; ``"nuke"``: from the lower left corner, y upwards, with pixel centres at halves, and frames from 1; for it,
-    ``height`` is that of the frames; ``"ae"``: from the top left corner, with pixel centres at halves, and frames from
-    0. Scripts and keyframes have their own; a table with a header is in pixels by default. ``first`` is the number that
-    the file gives to the first frame of the clip, if it is another one: 1001, for instance. Of the frames of a table,
-    ``frames`` returns those that are timecodes, counted from 0; its first argument names the file in messages.
-
-    SuppleError, with the line or the track, if it cannot be read or holds no tracks, or its convention is not known.
+    ``convention`` is that of a table. ``"pixels"``: from the top left pixel, whose centre is (0, 0), and frames from 0;
+    ``"nuke"``: from the lower left corner, y upwards, with pixel centres at halves, and frames from 1, which needs the
+    ``height`` of the frames; ``"ae"``: from the top left corner, with pixel centres at halves, and frames from 0.
+    Scripts and keyframes have their own; a table with a header is in pixels by default. ``first`` is the number of the
+    clip's first frame in the file, if it differs from that: 1001, for instance. ``frames(file, timecode)`` converts a
+    timecode in a table to a frame from 0; its first argument is for messages. SuppleError, with the line or the track,
+    if the file cannot be read or holds no tracks, or its convention is not known.
     """
     if convention is not None:
         choice("convention", convention, CONVENTIONS)
@@ -87,7 +86,7 @@ def read_tracks(
     elif _CURVE.search(text):
         own, found = "nuke", _nuke(path, text)
     else:
-        if frames is not None:  # before the cells are split, perhaps at semicolons
+        if frames is not None:  # before lines are split into cells, perhaps at semicolons
             start = _FIRST[convention or "pixels"] if first is None else first
             text = re.sub(PATTERN, lambda code: str(frames(shown(path), code[0]) + start), text)
         headed, found = _table(path, text)
@@ -188,7 +187,7 @@ def _after_effects(path: PathLike, text: str) -> _Keys:
         if columns[1:3] != ["X pixels", "Y pixels"] or label == "Anchor Point" or not any(cells):
             continue
         if not cells[0]:
-            continue  # a value that does not change has no frame
+            continue  # a constant value has no frame
         if len([*filter(None, cells)]) != len([*filter(None, columns)]) or not all(map(_is_number, cells[:3])):
             raise unreadable(path, f"line {number}: it is {value_shown(line.strip())}", "give a frame, x and y")
         keys.setdefault(label, []).append(_Key(f"line {number}", *map(float, cells[:3])))
@@ -200,7 +199,7 @@ def _after_effects(path: PathLike, text: str) -> _Keys:
 
 
 def _nuke(path: PathLike, text: str) -> _Keys:
-    """Return the points of a script: rows of trackers, and pairs of curves in knobs of points."""
+    """Return the points of a script: rows of Tracker4 nodes, and pairs of curves in knobs of points."""
     curves = [found.groups() for found in _ROW.finditer(text)]
     for pair in _PAIR.finditer(text):
         knob = re.search(r"([A-Za-z_]\w*)?\s*\Z", text[max(0, pair.start() - 80) : pair.start()])
@@ -224,7 +223,7 @@ def _nuke(path: PathLike, text: str) -> _Keys:
 
 
 def _values(path: PathLike, where: str, curve: str) -> Iterator[tuple[float, float]]:
-    """Yield the keys of a curve: ``x1 100 101 x5 90``, values of frame 1, 2 and 5, among letters for its shape."""
+    """Yield the keys (frame, value) of a curve: ``x1 100 101 x5 90`` has frames 1, 2 and 5; letters are its shape."""
     frame: float | None = None
     given = False
     for word in curve.split():

@@ -22,16 +22,16 @@ from supple.media.suffixes import ANIMATED, suffix_of
 
 _USED = {suffix: CODECS[each.usual].encoder for each in CONTAINERS for suffix in each.suffixes[:1] if not each.counted}
 SUFFIXES = (*_USED, *ANIMATED)
-_FASTEST = 50  # images a second of a GIF: it counts hundredths, and players slow down frames below two
+_FASTEST = 50  # images a second in a GIF: durations are in 1/100 s, and players slow down those below 2/100 s
 
 
 def is_one(path: PathLike) -> bool:
-    """Return whether a name is that of one file with many images; those of a pattern are numbered."""
+    """Return whether a name is that of a video or an animation, and not a pattern of numbered images."""
     return suffix_of(path) in _USED or (suffix_of(path) in ANIMATED and not has_number(path))
 
 
 class _Drawn(Pictures):
-    """Images without a file."""
+    """Rendered images, which have no files, as the frames of a clip."""
 
     def __init__(self, name: str, size: tuple[int, int], rate: Fraction) -> None:
         self.name, self.paths, self.first, self.rate, self.interpretation = name, [], None, rate, "srgb"
@@ -61,7 +61,7 @@ def write_turntable(
     rate: float = 24.0,
     force: bool = False,
 ) -> None:
-    """Encode sRGB images of shape (H, W, 3) and one size, (rows, columns), as a film or an animation, by the suffix.
+    """Encode sRGB images (H, W, 3) of one ``size``, (rows, columns), as a video or an animation, by the suffix.
 
     The file appears whole or not at all. SuppleError if it cannot be written with that size or rate.
     """

@@ -62,7 +62,7 @@ def clip_slice(before: Colours, after: Colours, at: int, *, axis: str = "x") -> 
     if before.shape != after.shape:
         raise SuppleError(f"before and after must be of one shape, found {before.shape} and {after.shape}")
     count, rows = before.shape[:2]
-    # An inch for a hundred frames or rows, and at least one dot for each if there are many.
+    # A hundred frames or rows to an inch, within limits: below _MOST, each has at least one dot.
     width = min(max(count / 100, 4.5), _MOST / DPI)
     height = min(max(rows / 100, 3.6), 0.68 * _MOST / DPI)
     stacked = width > 1.6 * height

@@ -50,7 +50,7 @@ def plot(
     Raises
     ------
     SuppleError
-        If it cannot be plotted, or not be written there.
+        If the deformation cannot be plotted, or the file not be written.
     """
     sheets.check_plot(path, force=force)
     sheets.save(figure(deformation, what, image=image, frame=frame), path, force=force)
@@ -82,7 +82,7 @@ def figure(
     Raises
     ------
     SuppleError
-        If ``what`` is none of these, there is no such frame, or the image does not fit.
+        If ``what`` is unknown, there is no such frame, or the image does not fit.
     """
     choice("what", what, WHATS)
     measure.require_plane(deformation, frame)
@@ -241,7 +241,7 @@ def _time_grid(deformation: Deformation, frame: int, below: sheets.Background) -
     drawn = sheets.show(axes, ahead, every, norm, "PuOr_r", None if below is None else 0.55)
     if min(ahead.shape) > 1:
         x, y = (np.arange(n) * float(every) for n in reversed(ahead.shape))
-        inside = 1e-6  # the edges' own lines
+        inside = 1e-6  # so that the lines at the edges are drawn, too
         for c, places in enumerate(measure.ticks(deformation, 24)):
             places = np.clip(places, places[0] + inside, places[-1] - inside)
             axes.contour(x, y, points[..., c], np.unique(places), colors="black", linewidths=0.7)
@@ -264,7 +264,7 @@ def draw_inversions(
 ) -> None:
     """Plot the number of inversions, or samples, of each ray of an image (H, W): the paper's Fig. 5.5.
 
-    SuppleError if it cannot be written to that PNG, SVG or PDF file.
+    SuppleError if the PNG, SVG or PDF file cannot be written.
     """
     sheets.check_plot(path, force=force)
     height, width = counts.shape

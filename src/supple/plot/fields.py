@@ -1,4 +1,4 @@
-"""A picture of what a displacement field does: its grid, its log-Jacobian, its folds, and what another undoes."""
+"""A picture of a displacement field: its moved grid, its log-Jacobian, its folds, and the error of an inverse."""
 
 from __future__ import annotations
 
@@ -22,18 +22,18 @@ if TYPE_CHECKING:
 
 _PANEL = 4.6  # inches
 _LINES = 40  # of the grid, along the longer side
-_CROWDED = 0.05  # of the cells of a slice
-_WINDOW = 8  # cells on each side of the folds that are seen from near
+_CROWDED = 0.05  # of the cells of a slice: if more fold, they are not marked one by one
+_WINDOW = 8  # half of the side, in cells, of the window with most folds, which is enlarged
 _BLUE, _REST, _FOLDED, _RIM, _GAP = "#33628d", "#d0d0d0", "#f0c800", "#8a6d00", "#555555"
 
 Singles = npt.NDArray[np.float32]
 
 
 class _Slice(NamedTuple):
-    """The data of a picture of a field: in the plane of the grid's first two axes, lengths along these."""
+    """The data of a picture of a field; lengths are along the picture's axes, to the right and down."""
 
-    rest: Floats  # (H, W, 2), where the samples lie
-    moved: Floats  # (H, W, 2), where they are moved to
+    rest: Floats  # (H, W, 2): the positions of the samples
+    moved: Floats  # (H, W, 2): the positions plus the displacement
     folded: npt.NDArray[np.bool_]  # (H - 1, W - 1)
     logarithms: Singles  # (H, W)
     distances: Singles | None
@@ -54,12 +54,12 @@ def draw_check(
     plane: str | None = None,
     force: bool = False,
 ) -> None:
-    """Write a picture of a field that was checked to a PNG, SVG or PDF file; its name is for the title.
+    """Write a picture of a checked field to a PNG, SVG or PDF file; ``name`` is for the title.
 
-    The other arguments are what `Field.reported`, `Field.folded_cells`, `Field.log_jacobian` and `Field.distances` have
-    returned. Of a volume, it shows a ``plane`` as `supple.plot.planes.chosen` has it: by default, the axial slice with
-    most folds in the cells on both sides, which are marked; or the middle one if there are none. SuppleError if it
-    cannot be written there, or there is no such plane.
+    ``report``, ``folded``, ``logarithms`` and ``distances`` are the results of `Field.reported`, `Field.folded_cells`,
+    `Field.log_jacobian` and `Field.distances`. For a volume, ``plane`` is as in `supple.plot.planes.chosen`: by
+    default, the axial slice with most folded cells on its two sides, which are marked, or the middle one if there are
+    none. SuppleError if the file cannot be written, or there is no such plane.
     """
     check_plot(path, force=force)
     save(_figure(_slice(field, report.grid, folded, logarithms, distances, plane), report, name), path, force=force)
@@ -79,7 +79,7 @@ def _slice(
     if grid.ndim == 3:
         unit, sizes = "mm", grid.sizes
 
-        def both(through: int) -> planes.Ints:  # the cells that fold on both sides of each slice
+        def both(through: int) -> planes.Ints:  # the number of folded cells on the two sides of each slice
             others = tuple(k for k in range(3) if k != 2 - through)
             counts = np.pad(folded.sum(axis=others), 1)[: sizes[through] + 1]
             return np.convolve(counts, (1, 1), "valid")
@@ -145,13 +145,13 @@ def _handles(seen: _Slice) -> list[Any]:
 
 
 def _crowd(seen: _Slice) -> Box:
-    """Return a square around what the cells are moved to where most cells fold."""
+    """Return a square around the moved folded cells of the window with most of them."""
     height, width = seen.folded.shape
     sums = np.pad(seen.folded.astype(np.int64).cumsum(0).cumsum(1), ((1, 0), (1, 0)))
     tall, wide = min(2 * _WINDOW, height), min(2 * _WINDOW, width)
     counts = sums[tall:, wide:] - sums[:-tall, wide:] - sums[tall:, :-wide] + sums[:-tall, :-wide]
     best = np.argwhere(counts == counts.max())
-    top, left = best[len(best) // 2].tolist()  # of several alike, not the first, which has the folds at its edge
+    top, left = best[len(best) // 2].tolist()  # the middle of equal ones: the first has the folds at its edge
     cells = np.argwhere(seen.folded[top : top + tall, left : left + wide]) + np.array([top, left])
     places = _corners(seen.moved, cells).reshape(-1, 2)
     (x, y), (right, bottom) = places.min(axis=0), places.max(axis=0)
@@ -161,7 +161,7 @@ def _crowd(seen: _Slice) -> Box:
 
 
 def _corners(points: Floats, cells: npt.NDArray[np.intp]) -> Floats:
-    """Return the corners (N, 4, 2) of cells, in turn; along an axis of one sample, both are this one."""
+    """Return the corners (N, 4, 2) of cells, in order around each; along an axis of one sample, they coincide."""
     last = np.array(points.shape[:2]) - 1
     turn = [np.minimum(cells + corner, last) for corner in ((0, 0), (0, 1), (1, 1), (1, 0))]
     return np.stack([points[corner[:, 0], corner[:, 1]] for corner in turn], axis=1)
@@ -178,7 +178,7 @@ def _draw_grid(axes: Axes, seen: _Slice, every: int) -> None:
     cells = np.argwhere(seen.folded)
     if len(cells):
         drawn = PolyCollection(list(_corners(seen.moved, cells)), facecolors=_FOLDED, edgecolors=_RIM)
-        # Many that fold lie over each other: lines stay visible above them.
+        # Many folded cells overlap: they are drawn below the lines.
         drawn.set(linewidth=0.6 if every == 1 else 0.0 if _is_crowded(seen) else 0.2)
         drawn.set(zorder=0.5 if _is_crowded(seen) else 3, alpha=0.5 if _is_crowded(seen) else 1.0)
         axes.add_collection(drawn)

@@ -78,18 +78,18 @@ SUFFIXES = (".png", ".svg", ".pdf")
 DPI = 150
 
 _PANEL = 5.0  # inches
-_LETTERS = 13  # of a label, an inch
-_MOST_STROKES = 12  # the most that are drawn as arrows, which hide the image
-_AROUND, _NEAR, _STEPS = 6, 0.75, 16  # points around a pivot, their distance in radii, and those of a path
+_LETTERS = 13  # characters of a colour bar's label in an inch
+_MOST_STROKES = 12  # the most strokes drawn as arrows: more would hide the image
+_AROUND, _NEAR, _STEPS = 6, 0.75, 16  # points around a pivot, their distance in radii, and the steps of their paths
 
 Background = npt.NDArray[np.float32] | None
 Extend = Literal["neither", "max", "min", "both"]
 Box = tuple[float, float, float, float]
-"""Left, right, bottom and top, of which the top is less: y points down."""
+"""Left, right, bottom and top; top < bottom, since y points down."""
 
 
 def check_plot(path: str | os.PathLike[str], *, force: bool = False) -> None:
-    """Raise SuppleError, before any work, for a name that no plot can be written under."""
+    """Raise SuppleError if no plot can be written to this path; call it before any work."""
     if Path(path).suffix.lower() not in SUFFIXES:
         raise SuppleError(f"cannot write {shown(path)}: a plot's name must end in {', '.join(SUFFIXES)}")
     check_output(path, force=force)
@@ -105,7 +105,7 @@ def save(made: Figure, path: str | os.PathLike[str], *, force: bool = False) -> 
 
 
 def sheet(width: float, height: float, rows: int, columns: int) -> tuple[Figure, list[Axes]]:
-    """Return a figure of some inches and its panels."""
+    """Return a figure of ``width`` by ``height`` inches, and its panels, row by row."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
     from matplotlib.layout_engine import ConstrainedLayoutEngine
@@ -140,7 +140,7 @@ def map_axes(axes: Axes, deformation: Deformation, name: str) -> None:
 
 
 def set_axes(axes: Axes, box: Box, scale: float, name: str, labels: tuple[str, str]) -> None:
-    """Set axes up for a map of a box, one of whose units down is as long as ``scale`` units across."""
+    """Set axes up for a map of a box; a unit of y is as long as ``scale`` units of x."""
     left, right, bottom, top = box
     axes.set_aspect(scale if 1 / 6 <= scale * (bottom - top) / (right - left) <= 6 else "auto")
     axes.set_xlim(left, right)
@@ -178,7 +178,7 @@ def bar(made: Figure, drawn: AxesImage, parts: Axes | list[Axes], label: str, ex
 
 
 def arrows(axes: Axes, deformation: Deformation, colour: str = "black") -> None:
-    """Draw what strokes do: a grab's drag, and of another brush the paths of some points around its pivot."""
+    """Draw strokes as arrows: the drag of a grab; for other brushes, the paths of some points around the pivot."""
     from matplotlib.patches import FancyArrowPatch
     from matplotlib.path import Path as Line
     from matplotlib.patheffects import withStroke
@@ -195,7 +195,7 @@ def arrows(axes: Axes, deformation: Deformation, colour: str = "black") -> None:
             )  # fmt: skip
         axes.plot(*np.array([at[:2] for at, _ in stroke.handles]).T, "o", markersize=4.5, color=colour, mec="white")
         if deformation.ndim == 3:
-            # On the side opposite the arrow.
+            # The text is on the side opposite the arrow.
             across, down = (-1 if dx > 0 and x > 0.15 * deformation.shape[2] else 1), (-1 if dy < 0 else 1)
             end = f" → {stroke.at[2] + stroke.by[2]:g}" if stroke.brush == "grab" else ""
             axes.annotate(
@@ -206,7 +206,7 @@ def arrows(axes: Axes, deformation: Deformation, colour: str = "black") -> None:
 
 
 def paths(deformation: Deformation, stroke: Stroke) -> list[Floats]:
-    """Return the lines (n, 2) that a plot of a stroke shows: where its points go while it grows from 0 to all of it."""
+    """Return the lines (n, 2) of a stroke in a plot: the paths of its points as it grows from 0 to full strength."""
     if stroke.brush == "grab":
         lines = [np.array([at, *stroke.path, np.add(at, by)])[:, :2] for at, by in stroke.handles]
         return [line for line in lines if (line != line[0]).any()]
@@ -216,9 +216,9 @@ def paths(deformation: Deformation, stroke: Stroke) -> list[Floats]:
     points = np.tile(stroke.at, (_AROUND, 1))
     ring = np.column_stack([np.cos(turns), np.sin(turns)]) * (_NEAR * stroke.radius)
     points[:, :2] += ring / deformation.domain.spacing[:2]
-    # Without the border: it is about what the brush does.
+    # Without the border, to show the brush alone.
     alone = Deformation(deformation.grid, border=None, time=deformation.domain.time)
-    pieces = len(alone.add(stroke).space.table)  # of a stroke that flows
+    pieces = len(alone.add(stroke).space.table)  # more than one if the stroke flows
     piece, parts = stroke.weakened(1 / pieces), max(_STEPS // pieces, 1)
     growing = [alone.add(piece.weakened(k / parts)) for k in range(1, parts + 1)]
     found = [points]

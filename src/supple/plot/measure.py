@@ -1,6 +1,6 @@
-"""The data of the plots: at every pixel of the output, or on a coarser grid of a large one.
+"""The data of the plots: at every pixel of the output, or on a coarser grid if it is large.
 
-For a video, they are those of one frame of the output.
+For a video, it is for one frame of the output.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ MOST_PIXELS = 1 << 20
 
 
 class Iterations(NamedTuple):
-    """The work of the inverse of every pixel, by the published method and by ours; errors are in pixels."""
+    """The work to invert the map at every pixel, by the published method and by ours; errors are in pixels."""
 
     every: int  # rows and columns of the output between entries of the arrays
     published: Integers  # iterations of the published method
-    unconverged: int  # pixels for which that has not come within 0.1 px
+    unconverged: int  # pixels whose residual, by the published method, is 0.1 px or more
     published_error: Floats  # the distance of its source points to ours
     ours: Integers  # evaluations of T and its Jacobian by `Deformation.inverse`
     residual: Floats  # |T(p) - q| of these points
@@ -117,7 +117,7 @@ def iterations(deformation: Deformation, frame: int | None = None) -> Iterations
 
 
 def residual(deformation: Deformation, frame: int | None = None, *, tolerance: float = 0.01) -> Errors:
-    """Return the errors of the lattice map at a tolerance, in pixels, and its certificate."""
+    """Return the errors of the lattice map at a tolerance, in pixels, and its certified bound."""
     every, q = _pixels(deformation, frame)
     tolerance = number("tolerance", tolerance, "a number of pixels above 0", 1e-9, 1e9)
     plan = _plan(deformation, frame, tolerance)

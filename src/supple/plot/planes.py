@@ -1,4 +1,4 @@
-"""Planes of volumes in plots: chosen in millimetres, turned as scans are read, with letters and a scale bar."""
+"""Planes of volumes in plots: chosen in millimetres, oriented as radiologists do, with letters and a scale bar."""
 
 from __future__ import annotations
 
@@ -19,20 +19,20 @@ if TYPE_CHECKING:
 Ints = npt.NDArray[np.intp]
 
 _WANTED = "axial, coronal or sagittal, perhaps with a place in millimetres in LPS, as axial:12.5"
-_BAR = 0.25  # of the width, at most
+_BAR = 0.25  # the largest length of a scale bar, as a fraction of the width
 _OUTLINE = "#101010"
 
 
 class Plane(NamedTuple):
-    """A slice of a grid, which lies nearest to a plane of the patient, and how it is turned in a picture."""
+    """A slice of a grid, nearest in orientation to a plane of the patient, and its axes in a picture."""
 
     grid: Grid
     name: str
     through: int  # the grid's axis, x first, across the slice
     number: int
-    across: int  # the grid's axes to the right and down, and whether their indices fall there
-    down: int
-    flipped: tuple[bool, bool]
+    across: int  # the grid's axis to the right in the picture
+    down: int  # the grid's axis down in the picture
+    flipped: tuple[bool, bool]  # whether indices decrease to the right, and down
 
     @property
     def steps(self) -> tuple[float, float]:
@@ -68,7 +68,7 @@ class Plane(NamedTuple):
         return self.grid.crop(first, sizes)
 
     def seen(self, values: npt.NDArray[Any], index: int | None = None) -> npt.NDArray[Any]:
-        """Return a slice of an array of the grid (Z, Y, X, ...), or of its cells, as the picture has it (H, W, ...)."""
+        """Return the slice of an array of samples or cells (Z, Y, X, ...), oriented as in the picture (H, W, ...)."""
         made = np.take(values, self.number if index is None else index, axis=2 - self.through)
         made = made.swapaxes(0, 1) if self.down < self.across else made
         rows, columns = (slice(None, None, -1 if f else None) for f in self.flipped[::-1])
@@ -76,10 +76,10 @@ class Plane(NamedTuple):
 
 
 def chosen(grid: Grid, text: str | None, weights: Callable[[int], Floats | Ints] | None = None) -> Plane:
-    """Return the slice of a grid at a plane: axial, coronal or sagittal, perhaps with a place: ``axial:12.5``.
+    """Return a slice of a grid: axial, coronal or sagittal, perhaps at a place in millimetres: ``axial:12.5``.
 
-    Without a place, it is the one of the largest of ``weights`` of the slices across a grid's axis, or the middle one;
-    without a plane, it is axial. SuppleError for what is neither, and for a place beyond the grid.
+    Without a place, it is the slice with the largest weight, or the middle one; ``weights`` returns those of all slices
+    across an axis, x first. Without a text, it is axial. SuppleError for other texts, and for a place beyond the grid.
     """
     name, colon, at = (text or "axial").strip().lower().partition(":")
     if name not in PLANES:
@@ -103,14 +103,14 @@ def chosen(grid: Grid, text: str | None, weights: Callable[[int], Floats | Ints]
 
 
 def _places(grid: Grid, through: int, axis: int) -> Floats:
-    """Return where along an axis of LPS the middles of the slices lie."""
+    """Return the positions of the slices' centres along an axis of LPS, in millimetres."""
     middle = np.tile((np.array(grid.sizes) - 1) / 2, (grid.sizes[through], 1))
     middle[:, through] = np.arange(grid.sizes[through])
     return np.asarray(grid.positions(middle)[:, axis])
 
 
 def _side(way: Floats) -> str:
-    """Return the letter of the patient's side that a direction leads to."""
+    """Return the letter of the patient's side that a direction points to."""
     axis = int(np.abs(way).argmax())
     return SIDES[axis][int(way[axis] < 0)]
 

@@ -45,24 +45,24 @@ def draw_volume(
     deformation : Deformation
         Of the volume.
     what : str
-        ``"grid"``: planes of the input at even distances, as lines; or ``"stretch"``: the logarithm of the volume that
-        the surroundings of a point have in the output, over that in the input.
+        ``"grid"``: evenly spaced planes of the input, as lines; or ``"stretch"``: the natural logarithm of det ∂T/∂p,
+        the volume around a point in the output over that in the input.
     samples : array (Z, Y, X) or (Z, Y, X, C)
-        The volume, on the grid ``own``; if it holds ``labels``, they are not mixed.
+        The volume, on the grid ``own``; ``labels`` are sampled without mixing them.
     out : Grid, optional
         The grid of the output; by default, the volume's.
     plane : str, optional
-        As in `supple.plot.planes.chosen`; by default, the axial one that moves most, beyond what affine maps do.
+        As in `supple.plot.planes.chosen`; by default, the axial slice that moves most, apart from affine maps.
     name : str
         For the title.
     """
     check_plot(path, force=force)
     grid, home, maps = out or own, deformation.grid, deformation.maps
     known = [each for each in maps if not isinstance(each.map, Field)]
-    bends = deformation.strokes or len(known) < len(maps)  # beyond what affine maps do
+    bends = deformation.strokes or len(known) < len(maps)  # false if there are affine maps alone
     affine = Deformation(home, border=None).behind(known if bends else ())
 
-    def moves(through: int) -> Floats:  # how far the samples of each slice come, on average
+    def moves(through: int) -> Floats:  # the mean displacement of each slice's samples, in millimetres
         axes = [np.unique(np.linspace(0, n - 1, min(n, _COARSE)).round()) for n in grid.sizes]
         axes[through] = np.arange(grid.sizes[through], dtype=np.float64)
         points = grid.positions(np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3))

@@ -19,8 +19,8 @@ need("plot", "marks on pictures", "matplotlib")
 LEAST = 96
 """Pixels along a side: a smaller picture has no room for marks."""
 
-_LETTERS, _SMALLEST = 0.035, 11.0  # the height of letters, of the picture's shorter side; pixels
-_FONT, _SERIFS = "DejaVu Sans", "DejaVu Sans Mono"  # Matplotlib brings them; an I of the second is no mere line
+_LETTERS, _SMALLEST = 0.035, 11.0  # the height of letters: a fraction of the shorter side, and the least in pixels
+_FONT, _SERIFS = "DejaVu Sans", "DejaVu Sans Mono"  # both come with Matplotlib; the second has an I with serifs
 
 
 def check_annotated(size: tuple[int, int]) -> None:
@@ -35,7 +35,7 @@ Entry = tuple[str, tuple[float, float, float]]
 
 
 def entries_of(colours: LabelColours, labels: npt.ArrayLike) -> list[Entry]:
-    """Return the names and colours of labels that are not quite transparent, for a legend."""
+    """Return the names and colours of labels that are not fully transparent, for a legend."""
     known = np.asarray(labels)
     rows = zip(known.tolist(), colours.of(known).tolist(), strict=True)
     return [(colours.name(k), (r, g, b)) for k, (r, g, b, opacity) in rows if opacity > 0]
@@ -51,14 +51,14 @@ def annotated(
 ) -> npt.NDArray[np.uint8]:
     """Return a picture of a volume with a scale bar, and letters for the patient's sides.
 
-    The bar, at the lower left, measures what is as far from the eye as the camera's target: in perspective, what is
-    nearer is larger. The letter at an edge names the side of the patient that lies there, R, L, A, P, S or I, or
-    several for an oblique view, the nearest first; without a patient, it is an axis of the voxels with its sign.
+    The bar, at the lower left, holds at the distance of the camera's target: in perspective, nearer parts appear
+    larger. The letter at an edge names the side of the patient there, R, L, A, P, S or I, or several for an oblique
+    view, the nearest first; without a patient, it is an axis of the voxels with its sign.
 
     Parameters
     ----------
     pixels : uint8 array, shape (H, W, 3 or 4)
-        sRGB, with opacity that is not multiplied in, as `supple.render.picture.Rendering.pixels` returns it.
+        sRGB, with straight alpha, as `supple.render.picture.Rendering.pixels` returns it.
     view : Projection
         Of the picture: ``scene.view(camera, size)``.
     geometry : Geometry
@@ -108,7 +108,7 @@ def _drawn(view: Projection, geometry: Geometry, legend: Sequence[Entry], marks:
     from matplotlib.transforms import IdentityTransform
 
     (height, width), bar = view.size, bar_of(view)
-    # A point of 72 to an inch is a pixel; sizes are cut to integers.
+    # At 72 dpi, a point is a pixel. Matplotlib truncates the size to integers, hence 0.01.
     made = Figure(figsize=((width + 0.01) / 72, (height + 0.01) / 72), dpi=72, facecolor="none")
     canvas = FigureCanvasAgg(made)
     high = max(_LETTERS * min(view.size), _SMALLEST)

@@ -25,13 +25,13 @@ from supple.render.transfer import ENTRIES, LABELS, PRESETS, Transfer, TransferF
 from supple.space.checks import choice, point, refuse
 from supple.space.geometry import Floats
 
-DARK = 0.06  # of white, and twice that: a maximum is transparent up to one, and opaque from the other on
-FINE = 2  # voxels of a brick of visible voxels, if a lattice displaces them into bricks of `_core.BRICK` voxels
+DARK = 0.06  # of white: a maximum projection is transparent up to it, and opaque from twice as much on
+FINE = 2  # voxels along a brick's side, if a lattice moves visible bricks into those of `_core.BRICK` voxels
 AIR, SKIN = -1000.0, -450.0  # Hounsfield units
-_THIN = 6.0  # mm: half of the thickness from which a part is no table
+_THIN = 6.0  # mm: half of the largest thickness of a table
 COARSE = 2.0  # of the finest spacing: slices farther apart are smoothed
 _LOOKED_AT = 1 << 20  # voxels for a quantile
-MOST = 1e18  # of samples: float32 holds the squares of their gradients
+MOST = 1e18  # the largest sample: float32 holds the squares of gradients
 _TYPES = (np.uint8, np.int8, np.uint16, np.int16, np.float32)
 PROJECTIONS = ("none", "maximum", "minimum", "average")
 
@@ -49,10 +49,10 @@ class Seen:
     scale: float
     threshold: float  # the lowest visible sample; infinity if nothing is visible
     window: tuple[float, float]  # the visible range of samples
-    labels: Array | None = None  # the visible labels, in order, of which samples are the numbers, from 1 on
+    labels: Array | None = None  # the visible labels, sorted; samples are their positions, from 1 on
 
     def visible(self, lows: Array, highs: Array) -> npt.NDArray[np.bool_]:
-        """Return which bricks are visible, of samples between two for each."""
+        """Return which bricks are visible, given the lowest and the highest sample of each."""
         if self.projection != "none":
             return np.ones(lows.shape, np.bool_)
         before = np.concatenate([[0], np.cumsum(self.table[:, 3] > 0)])  # visible entries before each
@@ -68,18 +68,18 @@ class Seen:
 def skipped(
     seen: Seen, lows: Array, highs: Array, shape: tuple[int, ...], lattice: Lattice | None, error: float
 ) -> npt.NDArray[np.uint8]:
-    """Return the distance in bricks to the next visible one.
+    """Return each brick's distance in bricks to the next visible one, 0 in visible ones, of a volume of ``shape``.
 
-    ``lows`` and ``highs`` are those of bricks of a volume of some shape; of `FINE` voxels, if a lattice moves them, of
-    which rays are off by an error at most.
+    ``lows`` and ``highs`` are the sample ranges of bricks: of `FINE` voxels if a lattice moves them, from which source
+    points along rays are off by ``error`` voxels at most.
     """
     skips = np.zeros(brick_counts(shape, _core.BRICK), np.uint8)
-    if seen.projection != "none":  # of all that is along a ray
+    if seen.projection != "none":  # a projection reads all samples of a ray
         return skips
     bricks = seen.visible(lows, highs)
     if lattice is not None and lattice.nodes is not None:
         moved = np.empty(skips.shape, np.bool_)
-        # Along rays, points are off the lattice by less than its error, which includes a reserve.
+        # Source points along rays are off the lattice's by less than its error, which includes a reserve.
         slack = 0.01 + 0.5 * min(error, 1.0)
         _core.brick_moved(lattice.nodes, lattice.step, bricks, FINE, slack, moved)
         bricks = moved
@@ -88,7 +88,7 @@ def skipped(
 
 
 def ranged(samples: Array, brick: int, known: dict[int, tuple[Array, Array]]) -> tuple[Array, Array]:
-    """Return the smallest and the largest sample of each brick, unless they are known."""
+    """Return the smallest and the largest sample of each brick; ``known`` caches them by brick size."""
     if brick not in known:
         lows, highs = (np.empty(brick_counts(samples.shape, brick), np.float32) for _ in range(2))
         _core.brick_ranges(samples, brick, lows, highs)
@@ -97,10 +97,10 @@ def ranged(samples: Array, brick: int, known: dict[int, tuple[Array, Array]]) ->
 
 
 def levelled(transfer: TransferFunction, samples: Array, values: tuple[float, float]) -> TransferFunction:
-    """Return the preset ``grey`` in the values of a volume; others as they are.
+    """Return the preset ``grey`` in the values of a volume; other transfer functions unchanged.
 
-    Its range ends where one voxel in a thousand is brighter, since metal is by far; and begins at air, where values are
-    Hounsfield units, since they may go on below. ``values`` are the smallest and the largest.
+    Its range ends at the quantile 0.999, since metal is far brighter. For Hounsfield units it begins at air, since
+    lower values may occur. ``values`` are the smallest and the largest one.
     """
     if transfer is not PRESETS["grey"]:
         return transfer
@@ -111,7 +111,7 @@ def levelled(transfer: TransferFunction, samples: Array, values: tuple[float, fl
 
 
 def is_hounsfield(low: float, high: float) -> bool:
-    """Return whether values between a smallest and a largest one look like Hounsfield units: air is there, and bone."""
+    """Return whether values from ``low`` to ``high`` look like Hounsfield units: they include air and bone."""
     return low <= -800 and high >= 200
 
 
@@ -129,11 +129,11 @@ def _parts(seen: npt.NDArray[np.uint8]) -> tuple[Array, npt.NDArray[np.intp]]:
 
 
 def without_table(samples: Array, spacing: Sequence[float]) -> tuple[Array, float]:
-    """Return a CT without what is thin beside the body, such as a table or a head holder, and how much that was.
+    """Return a CT without thin parts beside the body, such as a table or a head holder, and the removed fraction.
 
-    Of all that is as dense as skin, in parts of voxels that touch by their faces, the largest is the body. Other parts
-    become air if they are nowhere thicker than 12 mm, and reach out of the box around the body: arms and legs are
-    thicker, and what is in the body is within its box. How much they were is a fraction of it all.
+    Voxels as dense as skin are divided into components, connected by faces; the largest one is the body. Others become
+    air if they are nowhere thicker than 12 mm, and reach out of the box around the body: arms and legs are thicker,
+    and objects inside the body do not leave its box. The fraction is of all voxels as dense as skin.
 
     Parameters
     ----------
@@ -151,7 +151,7 @@ def without_table(samples: Array, spacing: Sequence[float]) -> tuple[Array, floa
         return samples, 0.0
     body = int(sizes[1:].argmax()) + 1
     radius = [max(1, round(_THIN / step)) for step in spacing]
-    # Of numbers 0 and 1 that is a binary erosion, and takes less than half of its time.
+    # For values 0 and 1 this equals a binary erosion, in less than half of the time.
     core = itk.GetArrayFromImage(itk.GrayscaleErode(itk.GetImageFromArray(dense), radius, itk.sitkBox))
     own = labels == body
     ends = (np.flatnonzero(own.any(axis=tuple({0, 1, 2} - {axis})))[[0, -1]] for axis in range(3))
@@ -180,7 +180,7 @@ def sampled(
     projection: str = "none",
     spacing: Sequence[float] = (1.0, 1.0, 1.0),
 ) -> tuple[Array, Array | None, Seen]:
-    """Return the samples of a volume for rays, which are values or labels; their colours, if any; and how they look."""
+    """Return a volume's samples for rays (values or numbers of labels), their colours, if any, and their appearance."""
     colours = None
     if isinstance(transfer, LabelColours):
         if projection != "none":
@@ -223,7 +223,7 @@ def evened(samples: Array, spacing: Sequence[float]) -> Array:
 
 
 def window_of(density: tuple[float, float] | None, *, one: bool = False) -> tuple[float, float]:
-    """Return the visible range of values; it may be of ``one``."""
+    """Return the visible range of values; with ``one``, it may be of a single value."""
     if density is None:
         return -math.inf, math.inf
     low, high = point("density", density, (2,))
@@ -239,10 +239,10 @@ def seen_through(
     step: float,
     projection: str,
 ) -> Seen:
-    """Return how samples of some range look by a transfer function and a window of values.
+    """Return the appearance of samples of a range ``values``, by a transfer function and a window of values.
 
-    Of a projection, they are grey and opaque, from black at the window's lower end to white at its upper one; in a
-    maximum, what is nearly black is air around a body, and not seen.
+    In a projection, they are grey and opaque, from black at the window's lower end to white at its upper one; in a
+    maximum, nearly black ones are transparent, as the air around a body.
     """
     (low, high), window = values, window_of(density)
     places = np.linspace(low, high, ENTRIES)
@@ -256,7 +256,7 @@ def seen_through(
         threshold = -math.inf
     else:
         table = transfer.table(low, high, step)
-        # An entry is that of all values which are rounded to it, up to halfway to the next.
+        # An entry is for all values that round to it: those up to halfway to its neighbours.
         half = 0.5 * (high - low) / (ENTRIES - 1)
         seen = (table[:, 3] > 0) & (places + half >= window[0]) & (places - half <= window[1])
         first = int(np.argmax(seen)) if seen.any() else 0
@@ -271,7 +271,7 @@ def seen_through(
 
 
 def summed(table: Array) -> Floats:
-    """Return the sums, before each entry of a table, of extinction times colour and of extinction, shape (N + 1, 4)."""
+    """Return the sums of extinction times colour, and of extinction, of all entries before each: (N + 1, 4)."""
     known = table.astype(np.float64)
     extinction = -np.log1p(-np.minimum(known[:, 3:], 1 - 1e-9))
     known[:, 3] = 1.0
@@ -279,7 +279,7 @@ def summed(table: Array) -> Floats:
 
 
 def fixed(samples: Array, transfer: Transfer) -> Transfer:
-    """Return a transfer function in the values of a volume, so that it stays the same where parts are hidden."""
+    """Return a transfer function in absolute values of a volume, so that hiding parts does not change it."""
     if not isinstance(transfer, TransferFunction):
         return transfer
     seen = sampled(np.asarray(samples), transfer, None, 1.0)[2]
@@ -288,10 +288,10 @@ def fixed(samples: Array, transfer: Transfer) -> Transfer:
 
 
 def largest(samples: Array, transfer: Transfer | str, density: tuple[float, float] | None = None) -> Array:
-    """Return a volume in which only the largest part of what is visible is left, of voxels that touch by their faces.
+    """Return a volume of which only the largest visible component, connected by voxels' faces, stays visible.
 
-    Other visible voxels get the highest value that is not visible, below those that are; in a label map, and in colours
-    (with their opacity, if they have one), they are 0.
+    Other visible voxels get the highest value below the visible ones; in a label map, and in colours (with their
+    opacity, if they have one), they are 0.
 
     Parameters
     ----------
@@ -345,7 +345,7 @@ def cropped(samples: Array, crop: Clip, transfer: Transfer | str, density: tuple
         whole = np.zeros_like(samples)
         whole[kept] = samples[kept]
         return whole
-    # Around the box, visible values are mirrored at the threshold: they pass it halfway to the next voxel.
+    # Around the box, visible values are mirrored at the threshold, so that they cross it half a voxel outside.
     around = tuple(slice(max(p.start - 1, 0), min(p.stop + 1, n)) for p, n in zip(kept, ready.shape, strict=True))
     ends = [(p.start - a.start, a.stop - p.stop) for p, a in zip(kept, around, strict=True)]
     edge = np.pad(ready[kept], ends, mode="edge").astype(np.float64)
@@ -359,7 +359,7 @@ def cropped(samples: Array, crop: Clip, transfer: Transfer | str, density: tuple
 
 
 def _hiding(samples: Array, transfer: Transfer | str, density: tuple[float, float] | None) -> tuple[Array, Seen]:
-    """Return prepared samples and how they look; SuppleError if no value is below what is visible."""
+    """Return prepared samples and their appearance; SuppleError if no value is below the visible ones."""
     ready, _, seen = sampled(np.asarray(samples), transfer_function(transfer), density, 1.0)
     if seen.threshold == -math.inf:
         told = "all is visible, down to the smallest value, and no value hides a voxel"
@@ -368,7 +368,7 @@ def _hiding(samples: Array, transfer: Transfer | str, density: tuple[float, floa
 
 
 def lamp(view: Projection) -> npt.NDArray[np.float32]:
-    """Return a lamp beside the camera, above and to the left."""
+    """Return the unit direction, along the volume's axes, to a lamp above and to the left of the camera."""
     right, down = (axis / np.linalg.norm(axis) for axis in view.packed[3:])
     towards = -view.ahead - 0.35 * right - 0.45 * down
     return np.asarray(towards / np.linalg.norm(towards), np.float32)
@@ -411,7 +411,7 @@ def prepared(given: Array) -> Array:
 
 
 def thinned(samples: Array, coarse: int) -> Array:
-    """Return every so many voxels of samples (Z, H, W[, C]) along each axis, and at the end one at least as far."""
+    """Return every ``coarse``-th voxel of samples (Z, H, W[, C]) along each axis, and the last one."""
     if coarse == 1:
         return samples
     places = (np.minimum(np.arange(-(-(n - 1) // coarse) + 1) * coarse, n - 1) for n in samples.shape[:3])
@@ -419,9 +419,9 @@ def thinned(samples: Array, coarse: int) -> Array:
 
 
 def warped(samples: Array, deformation: Deformation, labelled: bool, tolerance: float, coarse: int = 1) -> Array:
-    """Return prepared samples or colours, moved by a deformation: linear between voxels, and the nearest label.
+    """Return prepared samples or colours, warped by a deformation: with linear interpolation, or the nearest label.
 
-    They are those of every voxel, or `thinned`.
+    ``samples`` are those of every voxel, or `thinned` by ``coarse``.
     """
     chosen = Sampling(filter="nearest" if labelled else "linear", tolerance=tolerance)
     if coarse == 1:
@@ -434,6 +434,6 @@ def warped(samples: Array, deformation: Deformation, labelled: bool, tolerance: 
 
 
 def widened(samples: Array) -> Array:
-    """Return samples (Z, H, W[, C]) that are two along each axis of space at least."""
+    """Return samples (Z, H, W[, C]), repeated where there are fewer than two along an axis of space."""
     missing = [(0, 1 if n < 2 else 0) for n in samples.shape[:3]] + [(0, 0)] * (samples.ndim - 3)
     return np.pad(samples, missing, mode="edge") if min(samples.shape[:3]) < 2 else samples

@@ -13,21 +13,21 @@ from supple.errors import SuppleError, argument
 from supple.space.checks import items, number, point, refuse
 from supple.space.geometry import Floats, Geometry
 
-COARSE = 32  # boxes of bricks along an axis, of which a camera has all in view
+COARSE = 32  # the largest number of boxes along an axis, when visible parts are framed
 Box = tuple[tuple[float, float], ...]
-"""For each axis, x first, the voxels from which and to which a volume is rendered."""
+"""The rendered range of voxels, (from, to), along each axis, x first."""
 Clip = Sequence[Sequence[float | None]] | npt.NDArray[Any]
 """A box with None where nothing is cut away; as nested sequences, or an array of shape (3, 2)."""
 
 
 Plane = tuple[Sequence[float], Sequence[float]]
-"""A voxel, x first, and the direction in LPS in which all that lies beyond it is cut away."""
+"""A voxel, x first, and a direction in LPS: all beyond the plane through the voxel in that direction is cut away."""
 
 
 def plane_of(plane: object, geometry: Geometry) -> tuple[float, float, float, float]:
     """Return the unit normal of a `Plane` along a volume's axes, and its distance from the first voxel, in mm.
 
-    For None, one that cuts nothing away.
+    For None, return a plane that cuts nothing away.
     """
     if plane is None:
         return 0.0, 0.0, 0.0, 1.0
@@ -42,9 +42,9 @@ def plane_of(plane: object, geometry: Geometry) -> tuple[float, float, float, fl
 
 
 def seen_points(bricks: npt.NDArray[np.bool_], wide: int, shape: tuple[int, ...]) -> Floats:
-    """Return the corners of visible bricks (c, b, a) of some voxels in a volume of ``shape``, in voxels, (N, 3).
+    """Return the corners of visible bricks (c, b, a), ``wide`` voxels along a side, in a volume of ``shape``.
 
-    Where there are many, of boxes of them, at most 32 along each axis.
+    They are in voxels, x first, (N, 3). Bricks are joined to boxes where there are more than 32 along an axis.
     """
     coarse = max(1, *(-(-n // COARSE) for n in bricks.shape))
     counts = tuple(-(-n // coarse) for n in bricks.shape)
@@ -59,7 +59,7 @@ def seen_points(bricks: npt.NDArray[np.bool_], wide: int, shape: tuple[int, ...]
 
 
 def around(points: Floats) -> Floats:
-    """Return the corners of boxes around points (N, 3), at most 32 along each axis of all of them."""
+    """Return the corners of the boxes that contain points (N, 3), in a grid of 32 x 32 x 32 around all points."""
     low = points.min(axis=0)
     size = np.maximum((points.max(axis=0) - low) / COARSE, 1e-9)
     x, y, z = np.minimum((points - low) / size, COARSE - 1).astype(np.intp).T
@@ -69,9 +69,9 @@ def around(points: Floats) -> Floats:
 
 
 def within(points: Floats, box: Box, plane: Sequence[float], spacing: Sequence[float], slack: float) -> Floats:
-    """Return points (N, 3) within a box and before a plane, or beyond by less than ``slack`` voxels.
+    """Return the points (N, 3) in a box and before a plane, with a tolerance of ``slack`` voxels, clipped to the box.
 
-    They are moved into the box. If there are none, its corners.
+    If there are none, return the corners of the box.
     """
     first, last = np.array(box).T
     away = (points * spacing) @ np.array(plane[:3]) - plane[3]
@@ -85,10 +85,10 @@ def whole_box(shape: tuple[int, ...]) -> Box:
 
 
 def box_of(clip: object, shape: tuple[int, ...], name: str = "clip", *, single: bool = False) -> Box:
-    """Return the box of a `Clip` in a volume of ``shape`` (Z, H, W); of the whole volume for None.
+    """Return the box of a `Clip` in a volume of ``shape`` (Z, H, W); the whole volume for None.
 
-    With ``single``, a range may be from a voxel to itself. SuppleError, with ``name``, if one is empty, or not within
-    the volume.
+    With ``single``, a range may be from a voxel to itself. SuppleError, with ``name`` in its message, if a range is
+    empty, or not within the volume.
     """
     whole = whole_box(shape)
     if clip is None:

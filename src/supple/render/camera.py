@@ -1,4 +1,4 @@
-"""Cameras before a volume, their rays, and what a picture of it says: a scale bar, and the sides of the patient."""
+"""Cameras for rendering a volume, their rays, the scale bar, and the names of the patient's sides."""
 
 from __future__ import annotations
 
@@ -65,8 +65,8 @@ class Camera:
 class Projection:
     """A camera before a volume, and the size of the image."""
 
-    # (5, 3): the eye, in indices; the spacing; and, in millimetres along the volume's axes, the direction of view,
-    # and the steps to the pixels to the right and below, at a distance of a millimetre
+    # (5, 3), x first: the eye, in indices; the spacing, in millimetres; the unit direction of view along the volume's
+    # axes; and the steps to the next pixel to the right and below, in millimetres at a distance of a millimetre
     packed: Floats
     size: tuple[int, int]  # rows and columns of the image
     distance: float  # from the eye to the target, in millimetres
@@ -113,7 +113,7 @@ def view_of(
 ) -> Projection:
     """Return the projection of a camera before a volume of ``shape`` (Z, H, W), for ``size`` (rows, columns).
 
-    By default, all ``points`` (N, 3), in voxels, are in view, or else all of the volume.
+    The default distance brings all ``points`` (N, 3), in voxels, into view; by default, they are the volume's corners.
     """
     given: object = size  # user input of any type
     if not isinstance(given, Sequence) or isinstance(given, str) or len(given) != 2:
@@ -150,7 +150,7 @@ def view_of(
     right, above, outward = axes_at(math.radians(camera.azimuth))
     distance = camera.distance
     if distance is None:
-        # From any direction, so that the size of a turning volume does not change.
+        # It fits for every azimuth, so that the size of a turning volume does not change.
         corners = (points - target) * spacing
         reach = np.array([width, height]) / min(width, height) * math.tan(half)
         distance = float(spacing.max())
@@ -163,8 +163,8 @@ def view_of(
     return Projection(np.stack([eye, spacing, -outward, pixel * right, -pixel * above]), (height, width), distance)
 
 
-_PART = 0.25  # of the picture's width: no bar is longer
-_SLANT = math.sin(math.radians(15))  # a direction that is turned by less towards a side does not name it
+_PART = 0.25  # the largest length of a bar, as a fraction of the picture's width
+_SLANT = math.sin(math.radians(15))  # sides along which a unit direction has a smaller component are not named
 _UNITS = ((1000.0, "m"), (1.0, "mm"), (1e-3, "µm"), (1e-6, "nm"))
 
 
@@ -191,13 +191,13 @@ def bar_of(view: Projection) -> Bar:
 
 
 def rounded(most: float) -> float:
-    """Return the largest 1, 2 or 5 times a power of ten that is not more."""
+    """Return the largest number up to ``most`` that is 1, 2 or 5 times a power of ten."""
     power = 10.0 ** math.floor(math.log10(most))
     return max(k * power for k in (1.0, 2.0, 5.0) if k == 1.0 or k * power <= most * (1 + 1e-9))
 
 
 def sides_of(view: Projection, geometry: Geometry) -> tuple[str, str, str, str]:
-    """Return what lies to the left, to the right, above and below in a picture.
+    """Return the names of the directions to the left, to the right, up and down in a picture.
 
     Each is one or more of the patient's sides, R, L, A, P, S and I, the nearest first; or axes of the voxels with a
     sign, for a volume without a patient.

@@ -31,7 +31,7 @@ _TWICE, _ONCE = 3.0, 1.25  # measured errors of cubics over two cells and over o
 
 
 def tried(gpu: Gpu, work: Callable[[], T], stacklevel: int, says: str = "the CPU does what {} cannot") -> T | None:
-    """Return the result of some work on a GPU; None, and a DeviceWarning, on failure."""
+    """Return the result of some work on a GPU; on failure, warn with a DeviceWarning and return None."""
     try:
         with gpu.lock:
             done = work()
@@ -93,7 +93,7 @@ def held_scene(
 
 
 def lattice_of(gpu: Gpu, space: Space, tolerance: float) -> Lattice:
-    """Return the lattice, as fine as the tolerance needs, in voxels, or the memory allows; it knows its error."""
+    """Return a lattice as fine as the tolerance, in voxels, requires, or memory allows, with its ``error``."""
     found: Lattice | None = None
     shape, step = (space.count, *space.shape), COARSEST
     try:
@@ -109,14 +109,14 @@ def lattice_of(gpu: Gpu, space: Space, tolerance: float) -> Lattice:
     except MemoryError:
         if found is None:
             raise
-        with contextlib.suppress(MemoryError):  # some may have been skipped
+        with contextlib.suppress(MemoryError):  # try the steps that were skipped
             while found.step > FINEST:
                 found = solve(gpu, space.table, space.axes, shape, found.step // 2, shown_mask(space.freeze))
     return found if found.step <= RESOLVED * found.smooth else replace(found, error=math.inf)
 
 
 def along_rays(lattice: Lattice, cells: int, tolerance: float) -> float:
-    """Return the error of source points, in voxels, on cubics over cells of a lattice along rays."""
+    """Return the error, in voxels, of source points on cubics along rays, each over ``cells`` cells of a lattice."""
     if cells == 2:
         return _TWICE * lattice.error
     # If the lattice is accurate enough, its reserve covers the additional error.

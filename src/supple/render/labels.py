@@ -1,4 +1,4 @@
-"""Colours of labels: a palette, tables in files, and the numbers by which rays find them."""
+"""Colours of labels: a palette, tables in files, and the consecutive numbers that labels have in rendering."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ Colour = tuple[float, float, float, float]
 SUFFIXES = (".ctbl", ".txt")
 _MOST = 65535  # visible labels: their numbers have 16 bits
 _LARGEST = 1 << 53  # float64 holds the integers up to it
-_SPAN = 1 << 24  # labels from the smallest to the largest, of which a table is made
+_SPAN = 1 << 24  # the widest range of labels for which a look-up table is made
 _SLICER = re.compile(r"(-?\d+)\s+(\S.*?)\s+(\d+)\s+(\d+)\s+(\d+)\s+(\d+)")
 _SEGMENT = re.compile(r"Segment(\d+)_")
-# From OKLab: the weights of a and b beside lightness, and the matrix from cubes of what these give to linear sRGB.
+# From OKLab: the weights of a and b in the cube roots of cone responses, and the matrix from these to linear sRGB.
 _TO_CONES = (0.3963377774, 0.2158037573), (-0.1055613458, -0.0638541728), (-0.0894841775, -1.2914855480)
 _TO_LINEAR = (
     (4.0767416621, -3.3077115913, 0.2309699292),
@@ -100,7 +100,7 @@ class LabelColours:
         Raises
         ------
         SuppleError
-            If a line is of none of these; the message begins with ``name``.
+            If a line has none of these formats; the message begins with ``name``.
         """
         made: dict[int, Colour] = {}
         names: dict[int, str] = {}
@@ -142,12 +142,12 @@ class LabelColours:
         header : mapping of str to str
             Fields as ``Segment0_LabelValue`` (by default 1) and ``Segment0_Color``, three numbers from 0 to 1.
         labels : array_like of int
-            Of these, those without a colour there have that of `palette`.
+            The labels of the volume; those without a colour in the header have that of `palette`.
 
         Raises
         ------
         SuppleError
-            If one of these is not what it should be.
+            If a field of the header is invalid.
         """
         made = dict(zip(np.asarray(labels).tolist(), map(tuple, cls().of(labels).tolist()), strict=True))
         names: dict[int, str] = {}
@@ -165,9 +165,9 @@ class LabelColours:
 
 
 def palette(labels: npt.ArrayLike) -> Floats:
-    """Return distinct colours of labels, in sRGB from 0 to 1, of shape (..., 3): the same label has always the same.
+    """Return distinct colours of labels, sRGB from 0 to 1, (..., 3); a label always has the same colour.
 
-    Hues and lightnesses in OKLCH go on by steps for which the first 8, 16, 32 and 64 are farthest from one another.
+    Hue and lightness in OKLCH advance by steps chosen such that the first 8, 16, 32 and 64 colours differ most.
     """
     k = np.asarray(labels, np.float64)
     hue = 2 * np.pi * np.mod(0.6535 + 0.27121414 * (k - 1), 1.0)
@@ -196,13 +196,13 @@ def labels_in(samples: Array) -> Array:
 
 
 def numbered(samples: Array, visible: Array) -> Array:
-    """Return the place of each voxel's label in ``visible``, which is in order, from 1 on; 0 for all others."""
+    """Return the position of each voxel's label in the sorted ``visible``, from 1 on; 0 for all other labels."""
     if len(visible) > _MOST:
         refuse("the labels", f"at most {_MOST} that are visible", told=f"{len(visible)} of them")
     made = np.zeros(samples.shape, np.uint8 if len(visible) < 256 else np.uint16)
     if len(visible):
         low, span = int(visible[0]), int(visible[-1]) - int(visible[0]) + 1
-        places = np.zeros(span + 2 if span <= _SPAN else 0, made.dtype)  # an entry before and behind
+        places = np.zeros(span + 2 if span <= _SPAN else 0, made.dtype)  # the end entries are for all other labels
         if places.size:
             places[1 + np.asarray(visible, np.int64) - low] = np.arange(1, len(visible) + 1)
         for slab, out in zip(samples, made, strict=True):

@@ -1,4 +1,4 @@
-"""Meshes and contours that are drawn with a volume: moved by its deformation, and seen along the rays of a picture."""
+"""Meshes and contours that are drawn with a volume: moved by its deformation, and rasterized for its rays."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ class Surface:
     """A mesh or contours in a volume: opaque, and of one colour.
 
     Triangles are lit as surfaces of the volume are, on both sides, with normals that are interpolated between their
-    corners, but not over edges: where a corner's is more than 40° off the triangle's own. Lines are two pixels wide,
-    and not lit.
+    corners, except at sharp edges, where a corner's normal is more than 40° off the triangle's. Lines are two pixels
+    wide, and not lit.
 
     Parameters
     ----------
@@ -87,8 +87,8 @@ class Placed:
 
     surface: Surface
     points: Floats  # (N, 3): in millimetres along the axes of the volume
-    # (N, 3): of unit length, or 0: the mean of those of the triangles around a point, by their angles there, so that
-    # it does not depend on how a plane is divided
+    # (N, 3): unit normals, or 0: the mean of the triangles' around a point, weighted by their angles there, so that
+    # it does not depend on how a plane is triangulated
     normals: npt.NDArray[np.float32]
 
 
@@ -114,9 +114,9 @@ def _unit(vectors: Floats) -> Floats:
 
 
 def nearest(meshes: tuple[Placed, ...], look: shading.Look, view: Projection, fine: int) -> npt.NDArray[np.float32]:
-    """Return what rays end at, some along the side of a pixel: linear light, and millimetres from the eye, (H, W, 4).
+    """Return the nearest mesh along each ray, ``fine`` rays along a pixel's side: (H * fine, W * fine, 4).
 
-    Where there is none, that is infinity.
+    It is linear red, green and blue, and the distance from the eye in millimetres: infinity where there is no mesh.
     """
     rows, columns = ((np.arange(n * fine) + 0.5) / fine - 0.5 * n for n in view.size)
     seen = look.core

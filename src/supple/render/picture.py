@@ -22,7 +22,7 @@ def linear_light(values: npt.ArrayLike, white: float = 1.0) -> npt.NDArray[np.fl
 
 
 def srgb_of(linear: npt.ArrayLike) -> npt.NDArray[np.floating]:
-    """Return linear light, from 0 to 1, as sRGB; beyond that, it is cut off."""
+    """Return linear light as sRGB; it is clipped to 0 to 1."""
     u = np.clip(linear, 0, 1)
     return np.asarray(np.where(u <= 0.0031308, 12.92 * u, 1.055 * np.power(u, 1 / 2.4) - 0.055))
 
@@ -37,7 +37,7 @@ def are_colours(samples: npt.NDArray[Any]) -> bool:
 
 
 def luminance_and_colours(given: npt.NDArray[Any]) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
-    """Return the luminance (Z, H, W) of sRGB colours, by which they are seen, and the colours with an opacity.
+    """Return the luminance (Z, H, W) of sRGB colours, from which rays get their opacity, and RGBA (Z, H, W, 4).
 
     Colours (Z, H, W, 3 or 4) are uint8, uint16, or floats from 0 to 1, which become uint16. The luminance is that of
     the sRGB values by the weights of BT.709; transparent voxels are dark. SuppleError if values are of another type or

@@ -52,7 +52,7 @@ _ROWS = 256  # of an image, between two reports of progress
 
 
 def check_options(mode: object, projection: object, device: object, silhouettes: object, shadows: object) -> None:
-    """Raise SuppleError for options that no scene has."""
+    """Raise SuppleError if an option of a scene is invalid."""
     choice("mode", mode, MODES)
     choice("projection", projection, PROJECTIONS)
     choice("device", device, DRAWING)
@@ -61,7 +61,7 @@ def check_options(mode: object, projection: object, device: object, silhouettes:
 
 
 class Scene:
-    """A volume to render, with or without a deformation. Its parts do not change, but for what a GPU holds of it.
+    """A volume to render, with or without a deformation. It is immutable, except for its resources on a GPU.
 
     Parameters
     ----------
@@ -78,23 +78,24 @@ class Scene:
     density : (float, float), optional
         The visible range of values or labels, to show hard structures inside.
     clip : three of (float, float), optional
-        For each axis, x first, the voxels of the deformed volume from which and to which it is rendered, with None
-        where nothing is cut away: a box, whose faces show what is inside.
+        The rendered box: for each axis, x first, the range of voxels of the deformed volume, with None where nothing is
+        cut away. Its faces show what is inside.
     plane : ((float, float, float), (float, float, float)), optional
-        A voxel of the deformed volume, and the direction, in LPS, in which all beyond the plane there is cut away.
+        A voxel of the deformed volume, and a direction in LPS: all beyond the plane through the voxel, in that
+        direction, is cut away.
     projection : str
         ``"none"``, or the ``"maximum"``, ``"minimum"`` or ``"average"`` value along each ray: opaque and grey, black at
         the lower end of ``density`` and white at the upper one, and by default at the smallest and largest value.
     silhouettes, shadows : float
-        By how much surfaces darken, from 0 to 1: towards where they are seen from the side; and where the lamp's light
-        or, in hollows, that of the sky does not arrive.
+        How much surfaces darken, from 0 to 1: silhouettes where they are seen edge-on; shadows where the lamp's light
+        or, in hollows, the sky's does not arrive.
     mode : str
-        The evaluation of the deformation: ``"buffered"``, which warps the volume first, ``"exact"`` inversion of every
-        sample along every ray, or ``"hybrid"``: buffered, by `fill` on the GPU, where a certified lattice of inverse
-        displacements is read until the buffer is complete. On the CPU, that is ``"buffered"``.
+        The evaluation of the deformation: ``"buffered"`` warps the volume first; ``"exact"`` inverts every sample along
+        every ray; ``"hybrid"``, on the GPU, reads a certified lattice of inverse displacements until `fill` has
+        completed the buffer. On the CPU, ``"hybrid"`` is ``"buffered"``.
     meshes : sequence of Surface
         Meshes and contours, which move with the volume, exactly by T. They are opaque, and not cut away by ``clip`` and
-        ``plane``; projections, which are nowhere along a ray, are behind them.
+        ``plane``; projections, which have no depth, are drawn behind them.
     step : float, optional
         The step along a ray, in millimetres; by default, 0.75 of the smallest spacing, and half of that spacing in
         projections and for labels.
@@ -130,7 +131,7 @@ class Scene:
     range: tuple[float, float]
     """The smallest and the largest value or label."""
     labels: Array | None
-    """The visible labels, of a label map; ``samples`` are their places, from 1 on, and 0 elsewhere."""
+    """The visible labels of a label map, sorted; ``samples`` are their positions, from 1 on, and 0 elsewhere."""
     device: str
     """The requested device."""
     coarse: int
@@ -170,7 +171,8 @@ class Scene:
         known = transfer_function(transfer)
         finest = min(places.spacing)
         step = (
-            finest * (0.75 if projection == "none" and not isinstance(known, LabelColours) else 0.5)  # what is between
+            # projections and labels miss values between samples
+            finest * (0.75 if projection == "none" and not isinstance(known, LabelColours) else 0.5)
             if step is None
             else number("step", step, f"millimetres, at least {finest * 1e-3:g}", finest * 1e-3, 1e9)
         )
@@ -196,7 +198,8 @@ class Scene:
         self._original, self._paint, seen = sampled(self._given, transfer, density, *rest)
         self._ranges: dict[int, tuple[Array, Array]] = {}
         self._thin: dict[int, tuple[Array, Array | None]] = {}  # every k-th voxel, and its colours
-        self._still: tuple[Seen | None, npt.NDArray[np.uint8]] = None, np.empty(0, np.uint8)  # skips of the original
+        # the skips of the original, and the appearance for which they hold
+        self._still: tuple[Seen | None, npt.NDArray[np.uint8]] = None, np.empty(0, np.uint8)
         self._look_by(seen)
 
     def _look_by(self, seen: Seen) -> None:
@@ -204,7 +207,7 @@ class Scene:
         self.range, self.labels = seen.range, seen.labels
 
     def _deform(self, given: Deformation | None, volume: Volume | None, coarse: int = 1) -> None:
-        """Set what depends on strokes; the volume is already on a GPU, if it is given."""
+        """Set all attributes that depend on strokes. ``volume`` is the volume on a GPU, if it is there already."""
         spacing, gpu = self.geometry.spacing, gpu_of(self.device)
         deformation = self.deformation = _checked(given, self.shape, spacing)
         space = deformation.space if deformation is not None else None
@@ -217,7 +220,7 @@ class Scene:
         held = self._held
         self.gpu = held.volume.gpu if held is not None else None
         self.samples, self.error, self.coarse = self._original, 0.0, 1
-        self._colours = self._paint  # of samples, and of the original
+        self._colours = self._paint  # the colours of ``samples``; those of the original
         if deformation is not None and self.mode != "exact":
             self.error = self.tolerance
             if held is None:
@@ -246,7 +249,7 @@ class Scene:
         self._skip()
 
     def _skip(self) -> None:
-        still = self._lattice is None and self.samples is self._original  # whatever the strokes are
+        still = self._lattice is None and self.samples is self._original  # skips do not depend on strokes
         if not still or self._still[0] is not self._seen:
             skips = skipped(self._seen, self._lows, self._highs, self.samples.shape, self._lattice, self.error)
             self._still = (self._seen if still else None), skips
@@ -257,7 +260,7 @@ class Scene:
         self._shade: Shade | None = None
         if self.shadows and self.shaded and self.projection == "none":
             samples = self.samples
-            if self.deformation is not None and samples is self._original:  # rays look up their sources
+            if self.deformation is not None and samples is self._original:  # rays invert the map; shadows do not
                 samples = warped(samples, self.deformation, isinstance(self.transfer, LabelColours), NEAR)
             box = tuple((low / self.coarse, high / self.coarse) for low, high in self.clip)
             spacing = tuple(self.coarse * s for s in self.geometry.spacing)
@@ -270,7 +273,7 @@ class Scene:
         ----------
         deformation : Deformation, optional
         coarse : int
-            For a preview on the CPU, in a mode with a buffer: only every so many voxels are warped, along each axis.
+            For a preview on the CPU, in a mode with a buffer: only every ``coarse``-th voxel along each axis is warped.
         """
         integer("coarse", coarse, "a number of voxels from 1 to 64", 1, 64)
         made = copy.copy(self)
@@ -278,9 +281,9 @@ class Scene:
         return made
 
     def seen_through(self, transfer: Transfer | str, density: tuple[float, float] | None = None) -> Scene:
-        """Return this scene with another transfer function, without inverting or warping again unless of labels."""
+        """Return this scene with another transfer function. Only label maps are inverted and warped again."""
         made, known = copy.copy(self), transfer_function(transfer)
-        if isinstance(known, LabelColours) or isinstance(self.transfer, LabelColours):  # those visible are numbered
+        if isinstance(known, LabelColours) or isinstance(self.transfer, LabelColours):  # samples number visible labels
             made._sample(known, density)
             made._deform(self.deformation, None)
         else:
@@ -319,7 +322,7 @@ class Scene:
         )
 
     def framed(self, camera: Camera | None = None, size: tuple[int, int] = (512, 512)) -> Camera:
-        """Return a camera that has all that is visible in view, where its target and distance are not given."""
+        """Return the camera; a target or a distance that it lacks is set so that all visible parts are in view."""
         known, points = camera_of(camera), self.seen_points
         view = view_of(known, self._original.shape, self.geometry, size, points)
         target = known.target or triple((points.min(axis=0) + points.max(axis=0)) / 2)
@@ -343,7 +346,7 @@ class Scene:
         supersampling : int
             Rays along each side of a pixel, from 1 to 8: smoother outlines.
         tell : function of int
-            Called with the number of finished rows: at intervals, or at the end of what a GPU renders.
+            Called with the number of finished rows: at intervals on the CPU, and once at the end on a GPU.
         """
         fine = integer("supersampling", supersampling, "a number of rays along a pixel's side, from 1 to 8", 1, 8)
         view = self.view(camera, size)
@@ -464,7 +467,7 @@ class Scene:
             "the CPU does what {} cannot" if held.whole else "{} does not go on with the buffer",
         )
         if done is None:
-            # The lattice of a buffered scene may be too coarse to be seen.
+            # The lattice of a buffered scene may be too coarse to render from.
             if held.whole:
                 self._held = self.gpu = None
             else:
@@ -520,7 +523,7 @@ class Scene:
         _core.draw(self.samples, self._colours, look.core, strokes, xs, ys, *into, ends)
 
     def pick(self, camera: Camera, size: tuple[int, int], pixel: tuple[float, float]) -> Pick | None:
-        """Return the voxel picked at a pixel.
+        """Return the voxel under a pixel.
 
         Parameters
         ----------
@@ -533,8 +536,8 @@ class Scene:
         Returns
         -------
         Pick or None
-            The first point of the volume along the pixel's ray, whatever meshes are before it, with an accumulated
-            opacity of 0.9; None if there is none.
+            The first point along the pixel's ray with an accumulated opacity of 0.9, ignoring meshes; None if there is
+            none.
         """
         x, y = point("pixel", pixel, (2,))
         view = self.view(camera, size)
@@ -582,7 +585,7 @@ class Scene:
 
 
 def _checked(given: Deformation | None, shape: tuple[int, ...], spacing: tuple[float, ...]) -> Deformation | None:
-    """Return the deformation of a scene's volume; None for one that moves nothing.
+    """Return the deformation of a scene's volume; None for the identity.
 
     SuppleError if it is of another shape or spacing, or not of strokes alone.
     """

@@ -1,9 +1,9 @@
 """Shadows in a volume: the part of the light that arrives at the nodes of a coarse grid.
 
-Each node is as opaque as its voxels are on average. Light from one direction goes through the grid layer by layer, and
-spreads a little in each: its shadows are soft. That of the lamp is found for each camera, and that of the sky, from
-fourteen directions, once. A plane hides half of the sky from what lies on it, and that counts as none, so only hollows
-are darkened, and bodies with others before them.
+The opacity of a node is the mean of its voxels'. Light from one direction goes through the grid layer by layer, and
+spreads a little in each, so that shadows are soft. The lamp's light is computed for each camera; the sky's, from
+fourteen directions, once. Every surface hides half of the sky from its own points: this does not count as shadow, so
+only hollows are darkened, and surfaces behind others.
 """
 
 from __future__ import annotations
@@ -25,32 +25,31 @@ Floats = npt.NDArray[np.floating[Any]]
 Singles = npt.NDArray[np.float32]
 
 LONGEST = 128  # nodes along the longest side, in millimetres
-PAD = 2  # empty nodes around the volume, for what lies on its faces
-REACH = 2  # nodes from which the most light is taken, so that no surface is in its own shadow
-SHADE = 0.3  # of the light of the sky, which is left where that of the lamp does not arrive
-DEEP = 2.0  # the exponent by which hollows darken
+PAD = 2  # empty nodes on each side of the volume, from which its faces take their light
+REACH = 2  # each node takes the most light within so many nodes, so that no surface is in its own shadow
+SHADE = 0.3  # the part of the light that comes from the sky, and remains where the lamp's does not arrive
+DEEP = 2.0  # the exponent of the sky's light: larger ones darken hollows more
 NEAR = 1.0  # voxels: the tolerance of a warp for shadows alone
 SKY = [np.array(way) / np.linalg.norm(way) for way in itertools.product((-1, 0, 1), repeat=3) if sum(map(abs, way)) % 2]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Shade:
-    """The samples that keep the light away in a scene."""
+    """The opacity of a scene, and the light of the sky, at the nodes of a coarse grid."""
 
-    # (nz, ny, nx): the opacity of ``length`` millimetres at nodes of the deformed volume, of what is not cut away
+    # (nz, ny, nx): the opacity of ``length`` millimetres at nodes of the deformed volume, without parts cut away
     nodes: Singles
     length: float
     wide: tuple[int, ...]  # voxels from node to node, x first
     spacing: tuple[float, ...]  # millimetres from node to node, x first
-    # (nz, ny, nx): what the sky leaves of all light that arrives at nodes, from 0 to 1: it is 1 where half of the sky
-    # is seen
+    # (nz, ny, nx): the factor of all light at nodes, from 0 to 1, by how much of the sky is seen: 1 from half of it on
     sky: Singles
 
 
 def shade_of(
     samples: Array, seen: Seen, step: float, clip: Box, plane: Sequence[float], spacing: tuple[float, ...]
 ) -> Shade:
-    """Return the shade of samples, where rays go by some step, in a box and before a plane."""
+    """Return the shade of samples in a box and before a plane; ``seen`` has the opacities of ``step`` millimetres."""
     sides = [n * s for n, s in zip(samples.shape[::-1], spacing, strict=True)]
     length = max(max(sides) / LONGEST, min(spacing))
     wide = tuple(max(1, round(length / s)) for s in spacing)
@@ -62,10 +61,10 @@ def shade_of(
 
 
 def arriving(shade: Shade | None, lamp: Singles, strength: float) -> tuple[Singles, Singles]:
-    """Return the part of the light that arrives at nodes, and where they are: the node of voxel 0, and nodes a voxel.
+    """Return the part of the light at nodes (nz, ny, nx), and their places (2, 3): the node at voxel 0, nodes a voxel.
 
-    The lamp's direction is in millimetres along the volume's axes; at a strength of 0 all light arrives. Empty without
-    shade.
+    ``lamp`` is the direction to the lamp, in millimetres along the volume's axes. At a strength of 0, all light
+    arrives. Without shade, there are no nodes.
     """
     if shade is None:
         return np.empty((0, 0, 0), np.float32), np.zeros((2, 3), np.float32)
@@ -78,14 +77,14 @@ def arriving(shade: Shade | None, lamp: Singles, strength: float) -> tuple[Singl
 def light_from(way: npt.ArrayLike, nodes: Singles, length: float, spacing: Sequence[float]) -> Singles:
     """Return the part of the light from a direction, x first, that arrives at each node (nz, ny, nx).
 
-    Nodes have the opacity of ``length`` millimetres; the spacing is that of nodes, x first.
+    ``nodes`` are opacities of ``length`` millimetres; ``spacing`` is in millimetres from node to node, x first.
     """
-    steps = (np.asarray(way, np.float64) / spacing)[::-1]  # nodes, z first as axes are
+    steps = (np.asarray(way, np.float64) / spacing)[::-1]  # in nodes, z first as the array's axes
     axis = int(np.abs(steps).argmax())
     steps /= abs(steps[axis])  # from a layer to the next one towards the light
     across = float(np.linalg.norm(steps * spacing[::-1])) / length
     layers = np.moveaxis(nodes, axis, 0)
-    through = np.maximum(1 - layers, 0) ** np.float32(0.5 * across)  # half of a layer
+    through = np.maximum(1 - layers, 0) ** np.float32(0.5 * across)  # the transmission of half of a layer
     made, light = np.empty_like(layers), np.ones(layers.shape[1:], np.float32)
     order = range(len(layers))
     for k in reversed(order) if steps[axis] > 0 else order:
@@ -95,9 +94,9 @@ def light_from(way: npt.ArrayLike, nodes: Singles, length: float, spacing: Seque
 
 
 def _shifted(layer: Singles, by: Floats) -> Singles:
-    """Return a layer as it is some nodes on, up to one along each axis, and 1 beyond its ends.
+    """Return a layer sampled at an offset of ``by`` nodes, at most one along each axis; beyond its ends it is 1.
 
-    By quadratic B-splines: light spreads by the same, whatever the part of a node.
+    Quadratic B-splines spread light equally for every fraction of a node.
     """
     whole = np.rint(by)
     for first, part in zip(whole.astype(int) + 1, by - whole, strict=True):

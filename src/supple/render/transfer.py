@@ -31,9 +31,9 @@ class TransferFunction:
     ----------
     points : sequence of (value, red, green, blue, opacity)
         In ascending order of values; colours are sRGB from 0 to 1, and the opacity is that of ``unit`` millimetres.
-        Values beyond the first and the last have their colours and opacities.
+        Values beyond the first or the last point have its colour and opacity.
     unit : float
-        Millimetres of material for the opacity.
+        The millimetres of material that have the opacity.
     relative : bool
         Whether values are fractions of the volume's range: 0 its smallest value, 1 its largest.
     """
@@ -80,9 +80,9 @@ class TransferFunction:
         return np.ascontiguousarray(np.concatenate([linear, opacity[:, None]], axis=1), np.float32)
 
     def within(self, window: tuple[float, float], low: float, high: float) -> TransferFunction:
-        """Return the same for values from ``window[0]`` to ``window[1]``, beyond which nothing is seen.
+        """Return this transfer function for values from ``window[0]`` to ``window[1]``; others are transparent.
 
-        ``low`` and ``high`` are the range of the volume's values, of which relative ones are fractions.
+        ``low`` and ``high`` are the range of the volume's values; relative values are fractions of it.
         """
         span = (high - low) or 1.0
         first, last = (((x - low) / span if self.relative else x) for x in (max(window[0], low), min(window[1], high)))
@@ -93,7 +93,7 @@ class TransferFunction:
             return value, red, green, blue, opacity
 
         points = [at(first), *(p for p in self.points if first < p[0] < last), at(last)]
-        step = 1e-6 * (1.0 if self.relative else span)  # a step of no width is none in 3D Slicer
+        step = 1e-6 * (1.0 if self.relative else span)  # 3D Slicer ignores a step of zero width
         if window[0] > low:
             points.insert(0, (first - step, *points[0][1:4], 0.0))
         if window[1] < high:
@@ -101,10 +101,10 @@ class TransferFunction:
         return TransferFunction(tuple(points), self.unit, self.relative)
 
     def absolute(self, low: float, high: float) -> TransferFunction:
-        """Return the same in values from ``low`` to ``high``, of which relative ones are fractions."""
+        """Return this transfer function in values; relative ones are fractions of the range ``low`` to ``high``."""
         if not self.relative:
             return self
-        span = (high - low) or 1.0  # of a constant volume, 0 is its value
+        span = (high - low) or 1.0  # in a constant volume, the fraction 0 is its value
         return TransferFunction(tuple((low + p[0] * span, *p[1:]) for p in self.points), self.unit)
 
     def to_json(self) -> str:
@@ -150,7 +150,7 @@ class TransferFunction:
         Parameters
         ----------
         low, high : float
-            The range of the volume's values, of which relative ones are fractions. Opacities are those of a millimetre.
+            The range of the volume's values; relative ones are fractions of it. Opacities are those of a millimetre.
         """
         places = [p[0] for p in self.absolute(low, high).points]
         opacities = [1 - (1 - p[4]) ** (1 / self.unit) for p in self.points]
@@ -166,7 +166,7 @@ class TransferFunction:
     def from_vp(cls, text: str, name: str = "the volume property") -> TransferFunction:
         """Read a volume property of 3D Slicer (``.vp``): its opacity and its colours.
 
-        Its light and its opacity by gradients are left out, which this renderer has its own of, or none.
+        Its lighting and its opacity by gradient are ignored: this renderer has its own lighting, and lacks the other.
 
         Raises
         ------
@@ -181,7 +181,7 @@ class TransferFunction:
                 f"{name} is no volume property of 3D Slicer: six numbers, and then points of opacity, of opacity by "
                 "gradient, and of colour, each in a line that begins with how many numbers follow"
             ) from None
-        # Both are piecewise linear, and so are they at the values of both.
+        # Both are piecewise linear, so points at the union of their values describe both exactly.
         values = np.union1d(opacity[:, 0], colours[:, 0])
         seen = [np.interp(values, colours[:, 0], colours[:, c]) for c in (1, 2, 3)]
         seen.append(np.interp(values, opacity[:, 0], opacity[:, 1]))
@@ -193,12 +193,12 @@ class TransferFunction:
 
 SUFFIXES = (".json", ".vp")
 LABELS = "labels"  # the name of the palette of labels
-# Linear, shaded; diffuse, ambient and specular light, and its power: as in raymarch.hpp.
+# The first lines of a .vp: linear, shaded; diffuse, ambient and specular light, and its power, as in raymarch.hpp.
 _SLICER = (1, 1, 0.8, 0.15, 0.2, 16)
 
 
 def _control_points(words: list[str], each: int) -> npt.NDArray[np.float64]:
-    """Return control points (N, each) in order; ValueError if they are not as their count says."""
+    """Return control points (N, each), sorted by value; ValueError if their count is wrong, or a number invalid."""
     count, *numbers = words
     found = np.array([float(x) for x in numbers]).reshape(-1, each)
     if int(count) != found.size or not found.size or not np.isfinite(found).all():
@@ -237,12 +237,12 @@ PRESETS = {
         (0.10, 0.55, 0.38, 0.30, 0.0), (0.20, 0.80, 0.60, 0.48, 0.35), (0.45, 0.88, 0.74, 0.62, 0.75),
         (0.70, 0.96, 0.90, 0.82, 0.9), (1.0, 1.0, 1.0, 1.0, 0.95),
     ), relative=True),
-    # Where all but the brain is 0.
+    # For volumes in which all but the brain is 0.
     "mr-brain": TransferFunction((
         (0.12, 0.42, 0.26, 0.25, 0.0), (0.30, 0.70, 0.50, 0.46, 0.3), (0.55, 0.88, 0.74, 0.68, 0.75),
         (0.80, 0.97, 0.91, 0.86, 0.9), (1.0, 1.0, 0.98, 0.96, 0.95),
     ), relative=True),
-    # Fractions of what nearly all values lie in: see `supple.render.appearance.levelled`.
+    # Fractions of the range of nearly all values: see `supple.render.appearance.levelled`.
     "grey": TransferFunction((
         (0.06, 0.0, 0.0, 0.0, 0.0), (0.2, 0.3, 0.3, 0.3, 0.05), (1.0, 1.0, 1.0, 1.0, 0.6),
     ), relative=True),

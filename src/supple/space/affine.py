@@ -65,7 +65,7 @@ class Affine:
         return type(self)(np.linalg.inv(self.matrix))
 
     def __call__(self, positions: npt.ArrayLike) -> Floats:
-        """Return the positions (..., D) that positions (..., D) are mapped to."""
+        """Return positions (..., D) mapped by the affine map."""
         given = np.asarray(positions, np.float64)
         return np.asarray(given @ self.matrix[:-1, :-1].T + self.matrix[:-1, -1])
 
@@ -87,7 +87,7 @@ class Projective:
 def matrix_rows(matrix: Floats, more: int = 0) -> tuple[Floats, Floats]:
     """Return the rows of a homogeneous matrix, and of its inverse, as the core takes them.
 
-    That is without the last, which is that of an affine map; or with it, as ``more`` is 1, of a projective one.
+    The last row, that of an affine map, is left out; with ``more`` = 1, for a projective map, it is included.
     """
     n = len(matrix) - 1 + more
     return np.ascontiguousarray(matrix[:n]), np.ascontiguousarray(np.linalg.inv(matrix)[:n])

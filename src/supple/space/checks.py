@@ -44,13 +44,13 @@ def value_shown(value: object) -> str:
 
 
 def refuse(name: str, wanted: str, found: object = None, *, told: str = "") -> NoReturn:
-    """Raise SuppleError with the values that ``name`` may have and the value found, or what is ``told`` of it."""
+    """Raise SuppleError with the values that ``name`` may have, and the value found or its description ``told``."""
     raise SuppleError(f"{argument(name)} must be {wanted}, found {told or value_shown(found)}")
 
 
 def number(name: str, value: object, wanted: str, low: float, high: float) -> float:
-    """Return a real number (no bool) from ``low`` to ``high`` as a float; SuppleError with what is ``wanted``."""
-    # A protocol check is slow.
+    """Return a real number (no bool) from ``low`` to ``high`` as a float; SuppleError, with ``wanted``, otherwise."""
+    # Checking against a protocol such as Real is slow.
     if type(value) is not float and (isinstance(value, bool) or not isinstance(value, Real)):
         refuse(name, wanted, value)
     try:
@@ -98,7 +98,7 @@ def listed(name: str, value: object, wanted: str) -> tuple[Any, ...]:
 
 
 def assign(frozen: object, **values: object) -> None:
-    """Set fields of a frozen value, while it is made."""
+    """Set fields of a frozen dataclass, in its own initialization."""
     for name, value in values.items():
         object.__setattr__(frozen, name, value)
 
@@ -124,7 +124,7 @@ def flag(name: str, value: object) -> bool:
 
 
 def colours_hint(shape: Shape) -> str:
-    """Return a hint for the message if the last of three axes may be colours."""
+    """Return a hint for a message if the last of three axes may be the colour channels."""
     if len(shape) != 3 or shape[2] not in (3, 4):
         return ""
     return f" (if the last axis of {shape} is colours, make the deformation with shape[:2])"
@@ -148,7 +148,7 @@ def checked_spacing(spacing: object, ndim: int) -> Vector:
 
 
 def library_of(value: object) -> str:
-    """Return the library whose image or transform an object is, "SimpleITK" or "nibabel"; "" if it is none."""
+    """Return the library of an image or transform, "SimpleITK" or "nibabel"; "" for other objects."""
     roots = {each.__module__.partition(".")[0] for each in type(value).__mro__}
     known = (("SimpleITK", "GetDimension"), ("nibabel", "dataobj"))
     return next((root for root, has in known if root in roots and hasattr(value, has)), "")

@@ -56,7 +56,7 @@ def check_border_profile(profile: object) -> None:
 
 
 def border_factor(t: npt.ArrayLike, profile: float) -> npt.NDArray[np.float64]:
-    """Return β at the distance ``t`` from a face, over the border's width; ``profile`` as in `PROFILE_CODES`."""
+    """Return β at a distance from a face, given as the fraction ``t`` of the border's width; see `PROFILE_CODES`."""
     t = np.clip(t, 0.0, 1.0)
     return np.asarray(np.sin(np.pi / 2 * t) if profile == PROFILE_CODES["sine"] else t * (2 - 2 * t**2 + t**3))
 
@@ -84,7 +84,7 @@ class Domain:
         Whether the first of three axes is time. A drag along time alone, without a Poisson ratio, then has no
         displacement across it.
     freeze : Freeze, optional
-        The freeze mask, of as many axes; or of two for a clip, in each of whose frames it is the same.
+            The freeze mask, of as many axes; for a clip, it may have two axes and apply to every frame.
     """
 
     shape: tuple[int, ...]
@@ -106,7 +106,7 @@ class Domain:
         sizes, checked = checked_shape(shape), checked_border(border)
         if isinstance(checked, tuple) and len(checked) != len(sizes):
             refuse("border", f"one width, or {len(sizes)} of them (x first) for a shape of {len(sizes)} axes", border)
-        if isinstance(checked, tuple) and len(set(checked)) == 1:  # equal domains compare equal
+        if isinstance(checked, tuple) and len(set(checked)) == 1:  # domains with equal widths compare equal
             checked = checked[0]
         if flag("time", time) and len(sizes) == 2:
             refuse("time", "False for a shape of two axes, which is an image", time)
@@ -134,7 +134,7 @@ class Domain:
 
         An axis of one sample has no extent: both its faces are at the sample.
         """
-        out = 0.0 if self.border_profile == "sine" else 0.5  # of a sample, beyond the centres of the outermost
+        out = 0.0 if self.border_profile == "sine" else 0.5  # samples beyond the centres of the outermost ones
         return tuple(
             (-out * step, (n - 1 + out) * step) if n > 1 else (0.0, 0.0)
             for n, step in zip(reversed(self.shape), self.spacing, strict=True)
@@ -156,7 +156,7 @@ class Domain:
         return tuple(min(width, extent / 2) for width, extent in zip(wanted, self.extent, strict=True))
 
     def stretched(self, factor: float) -> Domain:
-        """Return the domain of a clip with its time axis, and the border along it, a factor longer."""
+        """Return the domain of a clip with its time axis, and the border along it, longer by a factor."""
         border = self.border
         if isinstance(border, float | tuple):
             x, y, along = border if isinstance(border, tuple) else (border,) * 3

@@ -32,22 +32,22 @@ Rows = npt.NDArray[np.float32]
 Lattice = tuple[int, float, float]  # coefficients along an axis, the position of the first, and the step
 
 _FREE = 255  # a coefficient of 1
-_EDGE = 3  # coefficients beyond those that differ: from there on, the spline is constant
+_EDGE = 3  # extra coefficients at each end that repeat the outermost: the spline is constant there
 _LEAST = 8  # coefficients along an axis
 _MOST = 2**28
-_MOST_ACROSS = 2  # times as many coefficients as are needed
-_MOST_IN_TIME = 2**22  # coefficients of a matte that moves: 210 MB in the core
-_PART = 1 / 32  # of the shorter side: the width of the fade, unless it is given
-_SHORTEST = 4.0  # samples, likewise
+_MOST_ACROSS = 2  # the largest number of coefficients, over the number that is needed
+_MOST_IN_TIME = 2**22  # coefficients of a moving matte: 210 MB in the core
+_PART = 1 / 32  # of the shorter side: the default width of the fade
+_SHORTEST = 4.0  # samples: the least width of the fade
 
 
 @dataclass(frozen=True, slots=True)
 class Freeze:
     """A freeze mask: the factor m(p) of the displacement, from 0 where it is frozen to 1 where it is free.
 
-    m is a cubic B-spline. Each coefficient is the least freedom of the samples that its spline covers, so that m and
-    its derivatives are exactly 0 at every frozen sample, and rise to 1 over the width of the fade beside it. `of` makes
-    one from an image or a label.
+    m is a cubic B-spline. Each coefficient is the least freedom of the samples that its basis function covers, so that
+    m and its derivatives are exactly 0 at every frozen sample, and m rises to 1 over the width of the fade. `of`
+    returns the mask of an image or a label.
 
     Parameters
     ----------
@@ -70,7 +70,7 @@ class Freeze:
     Raises
     ------
     SuppleError
-        If they do not fit together.
+            If the arguments do not fit together.
     """
 
     samples: Shape
@@ -125,9 +125,9 @@ class Freeze:
         Parameters
         ----------
         mask : array, shape (H, W) or (Z, H, W)
-            Of bool: True is frozen. Of floats from 0 to 1: 1 is frozen. Of whole numbers from 0: the largest value of
-            the type is frozen (255 of uint8), or the larger one if there are but two values. In between, a part of the
-            displacement is let through.
+                bool: True is frozen. Floats from 0 to 1: 1 is frozen. Whole numbers from 0: the largest value of the
+                type is frozen (255 of uint8), or the larger of two values if there are only two. Values in between let
+                a part of the displacement through.
         width : float, optional
             The width of the fade beside what is frozen, in physical units: at least 4 samples. By default a 32nd of
             the shortest side.
@@ -136,8 +136,8 @@ class Freeze:
         place, name
             As in `Freeze`.
         matte : bool
-            Whether it is a matte (`Stroke.matte`): what is said of frozen samples is true of those where the stroke
-            applies in full. Where it is black, nothing moves, exactly; the fade is inside of what is white.
+                Whether it is a matte (`Stroke.matte`), where white is free and black is frozen. Black samples do not
+                move at all; the fade is inside the white.
 
         Raises
         ------
@@ -166,8 +166,8 @@ class Freeze:
     ) -> Self:
         """Return the matte of a stroke that moves with the ``count`` frames of a clip, each an array (H, W).
 
-        Each frame becomes a row of coefficients, as by `of`; between them, m is a cubic spline in time, too, which
-        averages three frames. By default, the fade is as wide as there, or wider, so that there are at most four
+        Each frame becomes a row of coefficients, as by `of`; in between, m is a cubic spline in time, too, which
+        averages three frames. The default fade is as wide as that of `of`, or wider, so that there are at most four
         million coefficients: SuppleError if a given ``width`` needs more.
         """
         rows: list[npt.NDArray[np.uint8]] = []
@@ -185,7 +185,7 @@ class Freeze:
 
     @classmethod
     def free(cls, shape: Sequence[int], spacing: Sequence[float]) -> Self:
-        """Return the freeze mask of an image or a volume in which nothing is frozen, as `of` would make it."""
+        """Return a freeze mask of an image or a volume that freezes nothing, on the lattice that `of` would use."""
         samples, apart = tuple(reversed(shape)), _apart(shape, spacing, None)
         size, first, _ = zip(*map(_lattice, samples, apart), strict=True)
         return cls(samples, size, first, apart, bytes([_FREE]) * math.prod(size))
@@ -207,7 +207,7 @@ class Freeze:
 
     @property
     def inverted(self) -> Self:
-        """The mask 1 - m: what is frozen is free, and what is free is frozen."""
+        """The mask 1 - m, with frozen and free exchanged."""
         return replace(self, values=(_FREE - self.coefficients).tobytes())
 
     @property
@@ -217,7 +217,7 @@ class Freeze:
 
     @property
     def middle(self) -> Vector:
-        """The middle of what is frozen, in samples, x first; of all if nothing is."""
+        """The middle of the frozen part, in samples, x first; that of the medium if nothing is frozen."""
         held = 1.0 - self.coefficients / _FREE if not self.is_free else np.ones(self.coefficients.shape)
         found = []
         for axis, n in enumerate(self.samples[: self.ndim]):
@@ -228,7 +228,7 @@ class Freeze:
 
     @property
     def share(self) -> float:
-        """The part of the medium that is frozen, by samples at up to 256 places along each axis."""
+        """The fraction of the medium that is frozen, from samples at up to 256 places along each axis."""
         return float((self.at([np.linspace(0, n - 1, min(n, 256)).round() for n in self.samples]) == 0).mean())
 
     @property
@@ -242,14 +242,14 @@ class Freeze:
         Parameters
         ----------
         spacing : sequence of float
-            Physical units per sample, x first: three for a clip, along which a mask of two axes is the same.
+                Physical units per sample, x first; three for a clip, in whose frames a mask of two axes is the same.
 
         Returns
         -------
         values : float64 array, shape (nz, ny, nx)
             The coefficients, from 0 to 1.
         first, step : float64 array, shape (3,)
-            The position of the first one, and the distance from one to the next, in physical units.
+                The position of the first coefficient, and the distance between coefficients, in physical units.
         """
         n = self.ndim
         values = self.coefficients.reshape((1,) * (3 - n) + self.size[::-1]) / _FREE
@@ -266,7 +266,7 @@ class Freeze:
         """Return m on a grid of positions along each axis, in samples, x first: an array (..., y, x)."""
         lattice = zip(places, self.size, self.first, self.step, strict=True)
         each = [_weights(np.asarray(p, np.float64), size, first, step) for p, size, first, step in lattice]
-        # Of a plane, only the coefficients beside it are read.
+        # Only the coefficients with a weight are used: for a plane, those beside it.
         used = [np.flatnonzero(weights.any(axis=0)) for weights in each]
         parts = [slice(rows[0], rows[-1] + 1) for rows in used]
         made = self.coefficients[tuple(reversed(parts))] / np.float32(_FREE)
@@ -290,7 +290,7 @@ class Freeze:
         at : sequence of float
             The centre, in samples, x first.
         radius : float
-            In physical units. Within it, all samples are frozen, exactly; or all coefficients are free.
+                In physical units. All samples within it become frozen, or, without ``frozen``, all coefficients free.
         spacing : sequence of float
             Physical units per sample, x first.
         frozen : bool
@@ -317,14 +317,14 @@ class Freeze:
         return replace(self, values=made.tobytes())
 
     def fitted(self, samples: Sequence[int], moved: Callable[[Sequence[float]], Sequence[float]] | None) -> Self:
-        """Return the mask of a medium of other samples.
+        """Return the mask for a medium of another size.
 
         Parameters
         ----------
         samples : sequence of int
-            Its samples along each axis, x first.
+            The samples of that medium along each axis, x first.
         moved : function or None
-            The place there of a point of this medium, axis by axis; None if it is the same.
+            Maps a point of this medium to that one, each axis by itself; None if points stay the same.
         """
         n, m = self.ndim, len(samples)
         some = (*tuple(samples)[:n], *self.samples[m:])
@@ -336,7 +336,7 @@ class Freeze:
         return replace(self, samples=some, first=first, step=step)
 
     def at_frame(self, k: int) -> Self:
-        """Return the mask of a frame, of one that moves with a clip; another one itself."""
+        """Return the mask at a frame if it moves with a clip; otherwise the mask itself."""
         if self.ndim == 2:
             return self
         row = min(max(round((k - self.first[2]) / self.step[2]), 0), self.size[2] - 1)
@@ -352,10 +352,10 @@ class Freeze:
         return replace(self, first=tuple(first), values=np.flip(self.coefficients, self.ndim - 1 - axis).tobytes())
 
     def times(self, other: Self) -> Self:
-        """Return the product with another mask of the same medium: at most that, and 0 where one of them is.
+        """Return the product with another mask of the same medium: at most the other one, and 0 where either is.
 
-        It has the lattice of this one, and that of the other along axes on which this one is constant. Along axes on
-        which both have the same, coefficients are products; where they differ, the other one fades a little later.
+        It has the lattice of this mask, and the other's along axes on which this one is constant. Along axes with the
+        same lattice, coefficients are multiplied; along others, the other mask fades a little later.
         """
         if self.ndim < other.ndim:
             return self._in_time(other.samples[2]).times(other)
@@ -374,13 +374,13 @@ class Freeze:
         return replace(self, size=size, first=first, step=step, values=values.tobytes())
 
     def _in_time(self, samples: int, size: int = 1, first: float = 0.0, values: bytes | None = None) -> Self:
-        """Return the mask of a frame as one of a clip: with that in all of it, or with a row for each frame."""
+        """Return the mask of a frame as one of a clip: the same in all frames, or with a row of values for each."""
         more = {"samples": samples, "size": size, "first": first, "step": 1.0}
         parts: dict[str, Any] = {name: (*getattr(self, name), end) for name, end in more.items()}
         return replace(self, values=self.values if values is None else values, **parts)
 
     def entry(self) -> dict[str, Any]:
-        """Return the mask as JSON has it; the coefficients are compressed (zlib) and in base 64."""
+        """Return the mask as a JSON object; its coefficients are compressed (zlib), in base 64."""
         packed = base64.b64encode(zlib.compress(self.values, 9)).decode()
         made: dict[str, Any] = {name: list(getattr(self, name)) for name in ("samples", "size", "first", "step")}
         return {**made, "values": packed, **({"place": list(self.place)} if self.place else {})}
@@ -402,7 +402,7 @@ class Freeze:
 
 
 def _apart(shape: Sequence[int], spacing: Sequence[float], width: float | None, of: str = "") -> Vector:
-    """Return the samples from one coefficient to the next for a width of the fade, or for the usual one."""
+    """Return the samples between coefficients along each axis for a width of the fade, or for the default width."""
     least = _SHORTEST * min(spacing)
     if width is None:
         sides = [n * step for n, step in zip(reversed(shape), spacing, strict=True) if n > 1]
@@ -414,12 +414,12 @@ def _apart(shape: Sequence[int], spacing: Sequence[float], width: float | None, 
 
 
 def _lattice(n: int, step: float) -> Lattice:
-    """Return the lattice of coefficients for n samples along an axis, of which the outermost repeat others."""
+    """Return the lattice of coefficients for n samples along an axis, with _EDGE repeated ones at each end."""
     return (1, 0.0, step) if n == 1 else (math.ceil((n - 1) / step) + 3 + 2 * _EDGE, (-1 - _EDGE) * step, step)
 
 
 def _freedom_of(mask: npt.NDArray[Any]) -> npt.NDArray[np.uint8]:
-    """Return the freedom of samples, 255 for all of it."""
+    """Return the freedom of the samples of a mask, from 0 (frozen) to 255."""
     low, high, white = mask.min(), mask.max(), 1 if mask.dtype.kind in "bf" else np.iinfo(mask.dtype).max
     if not (low >= 0 and high <= white):  # also for NaN
         refuse("freeze", f"an array of values from 0 to {white} (frozen)", told=f"from {low:g} to {high:g}")
@@ -429,7 +429,7 @@ def _freedom_of(mask: npt.NDArray[Any]) -> npt.NDArray[np.uint8]:
 
 
 def _covered(values: npt.NDArray[Any], axis: int, lattice: Lattice) -> npt.NDArray[Any]:
-    """Return the least of the samples that the spline of each coefficient covers along an axis."""
+    """Return, for each coefficient along an axis, the least of the samples that its basis function covers."""
     (size, first, step), n = lattice, values.shape[axis]
     places = first + step * np.arange(size)
     # And half a sample more, where the chroma of frozen pixels may lie.
@@ -440,14 +440,14 @@ def _covered(values: npt.NDArray[Any], axis: int, lattice: Lattice) -> npt.NDArr
 
 
 def _moved(values: Rows, axis: int, n: int, old: Lattice, new: Lattice) -> Rows:
-    """Return coefficients on another lattice along an axis of n samples: the least m that the spline of each covers."""
+    """Return coefficients on another lattice along an axis of n samples: the least m under each basis function."""
     if axis and values.ndim == 3:  # plane by plane, as all of a clip may not fit
         return np.stack([_moved(plane, axis - 1, n, old, new) for plane in values])
     return _covered(np.moveaxis(np.tensordot(_weights(np.arange(n), *old), values, (1, axis)), 0, axis), axis, new)
 
 
 def _level(made: npt.NDArray[np.uint8]) -> None:
-    """Make the outermost four coefficients along each axis equal: to the innermost of them."""
+    """Set the outermost coefficients along each axis to the innermost of the four."""
     for axis, n in enumerate(made.shape):
         if n > 1:
             rows = np.moveaxis(made, axis, 0)

@@ -1,4 +1,4 @@
-"""Grids of samples in space: shape, spacing, origin and direction; and the two conventions of scanners."""
+"""Grids of samples in space: shape, spacing, origin and direction; and the conventions LPS and RAS."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from supple.space.checks import (
 Floats = npt.NDArray[np.float64]
 
 Box = tuple[Floats, Floats]
-"""The least and the largest coordinates of what is within a box along the axes of space."""
+"""The least and the largest coordinates of a box, along the axes of space."""
 
 CONVENTIONS = ("LPS", "RAS", "array")
 SIDES = (("L", "R"), ("P", "A"), ("S", "I"))
@@ -39,15 +39,15 @@ PLANES = {
     "coronal": ((1, -1), (0, 1), (2, -1)),
     "sagittal": ((0, 1), (1, 1), (2, -1)),
 }
-"""Planes of a patient as radiologists see them: the axes of LPS, with signs, to the next slice, right and down."""
+"""The planes of a patient, as radiologists view them: the LPS axes, with signs, to the next slice, right and down."""
 _FLIP = np.array([-1.0, -1.0, 1.0])
-_ROUNDED = 1e-3  # in cosines and squares of lengths: what headers round
+_ROUNDED = 1e-3  # in cosines and squares of lengths: the rounding of headers
 _FLAT = 0.1  # the volume of the axes' directions: below it, they nearly lie in a plane
-_SPARE = 1e-4  # samples: what headers of float32 add to the extent of thousands
+_SPARE = 1e-4  # samples: rounding of thousands of samples in float32 headers
 
 
 def plane_axes(direction: npt.ArrayLike, name: str) -> tuple[tuple[int, ...], tuple[int, ...]]:
-    """Return the axes of a grid that are nearest to those of one of `PLANES`, and 1 or -1 as they lead the same way."""
+    """Return the axes of a grid nearest to those of one of `PLANES`, and 1 for each of the same direction, or -1."""
     turned = np.array(direction)
     order = max(permutations(range(3)), key=lambda axes: math.prod(abs(turned[k, axes[k]]) for k in range(3)))
     ways = PLANES[name]
@@ -68,8 +68,8 @@ class Geometry:
     origin : (float, float, float)
         The position of the first voxel, in LPS.
     direction : float64 array, shape (3, 3)
-        Its columns are the directions of the axes, in LPS: of unit length. They may lean (`shear`), as slices of a
-        tilted gantry do.
+            Its columns are the directions of the axes, in LPS: of unit length. They may be sheared, as for slices of a
+            tilted gantry.
     convention : str
         The coordinates of points in the file: ``"LPS"``, or ``"RAS"`` (x to the right, y to the front), as in NIfTI; or
         ``"array"`` without a position in space.
@@ -102,7 +102,7 @@ class Geometry:
 
     @property
     def sides(self) -> tuple[tuple[str, str], ...]:
-        """Names of the positive and the negative end of each axis of LPS; without a patient, signs and axes."""
+        """Names of the positive and the negative end of each LPS axis; without a patient, signed axis names."""
         return (("+x", "-x"), ("+y", "-y"), ("+z", "-z")) if self.convention == "array" else SIDES
 
     @property
@@ -114,7 +114,7 @@ class Geometry:
 
     @property
     def shear(self) -> float:
-        """The largest angle in degrees by which two axes miss a right angle; 0 for what headers round."""
+        """The largest deviation of two axes from a right angle, in degrees; 0 within the rounding of headers."""
         return _shear(self.direction)
 
     def to_lps(self, indices: npt.ArrayLike) -> Floats:
@@ -169,7 +169,7 @@ class Grid:
     spacing: Vector
     origin: Vector
     direction: tuple[Vector, ...]
-    # Of a part of a grid: the index of its first sample in the whole, and the shape and the origin of that.
+    # For a part of a grid: the index of its first sample in the whole grid, and the shape and origin of the whole.
     first: Shape = field(repr=False)
     whole: Shape = field(repr=False)
     start: Vector = field(repr=False)
@@ -211,7 +211,7 @@ class Grid:
         return made
 
     def geometry(self, convention: str) -> Geometry:
-        """Return the geometry of the samples of a volume, in a convention of `Geometry`: the inverse of its `grid`."""
+        """Return the geometry of a volume's samples, in a convention of `Geometry`; the inverse of `Geometry.grid`."""
         (x, y, z), (a, b, c) = self.spacing, self.origin
         return Geometry((x, y, z), (a, b, c), np.array(self.direction), convention)
 
@@ -223,13 +223,13 @@ class Grid:
 
     @property
     def shear(self) -> float:
-        """The largest angle in degrees by which two axes miss a right angle; 0 for what headers round."""
+        """The largest deviation of two axes from a right angle, in degrees; 0 within the rounding of headers."""
         return _shear(np.array(self.direction))
 
     def upright(self) -> Grid:
-        """Return the grid itself, or, if it is sheared, the smallest around it whose axes are at right angles.
+        """Return the grid, or, if it is sheared, the smallest grid around it with axes at right angles.
 
-        Its first axis, and the plane of its first two, are those of this grid, and so is the distance between rows and
+        That has the same first axis, the same plane of the first two axes, and the same distances between rows and
         between slices.
         """
         if not self.shear:
@@ -241,7 +241,7 @@ class Grid:
         return Grid(sizes[::-1], steps.tolist(), (turned @ low).tolist(), turned)
 
     def corners(self, beyond: float = 0.0) -> Floats:
-        """Return the indices of the corners, or of places so many samples beyond them, shape (2^D, D)."""
+        """Return the indices of the corners, shape (2^D, D), or of points ``beyond`` samples outside of them."""
         return np.array([*product(*[(0.0 - beyond, size - 1 + beyond) for size in self.sizes])])
 
     def positions(self, indices: npt.ArrayLike) -> Floats:
@@ -255,7 +255,7 @@ class Grid:
         return np.asarray(moved @ np.linalg.inv(self.matrix[:-1, :-1]).T)
 
     def crop(self, first: Sequence[int], sizes: Sequence[int]) -> Self:
-        """Return a part of the grid, which samples what the whole samples there, bit for bit.
+        """Return a part of the grid; samples on it equal those on the whole grid, bit for bit.
 
         Parameters
         ----------
@@ -281,7 +281,7 @@ class Grid:
         return made
 
     def uncropped(self) -> Self:
-        """Return the grid that this one is a part of; itself if it is none."""
+        """Return the whole grid of which this is a part, or this grid if it is whole."""
         return self if self.whole == self.shape else type(self)(self.whole, self.spacing, self.start, self.direction)
 
     def resampled(self, spacing: float | Sequence[float]) -> Self:
@@ -315,7 +315,7 @@ def _shear(direction: Floats) -> float:
 
 
 def _squared(direction: Floats, spacing: Sequence[float]) -> tuple[Floats, Floats]:
-    """Return orthonormal directions that span what the first of these do, and the spacing along them."""
+    """Return orthonormal directions with the same spans (Gram-Schmidt), and the spacing along them."""
     turned, upper = np.linalg.qr(direction)
     ways = np.sign(np.diag(upper))
     return turned * ways, np.diag(upper) * ways * spacing
@@ -324,7 +324,7 @@ def _squared(direction: Floats, spacing: Sequence[float]) -> tuple[Floats, Float
 def check_upright(place: Geometry | Grid, name: str, what: str) -> None:
     """Raise SuppleError for axes that are not at right angles to each other.
 
-    ``name`` is that of the file as messages have it, and ``what`` the work that needs right angles.
+    ``name`` is the name of the file in messages, and ``what`` the work that needs right angles.
     """
     if place.shear:
         steps = _squared(np.array(place.direction), place.spacing)[1]

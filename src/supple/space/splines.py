@@ -11,7 +11,7 @@ import numpy.typing as npt
 Array = npt.NDArray[Any]
 
 POLE = math.sqrt(3.0) - 2.0  # of the filter that inverts the cubic B-spline's samples (1, 4, 1) / 6
-HORIZON = 40  # samples after which its response is below 1e-22
+HORIZON = 40  # samples after which the filter's response is below 1e-22
 
 
 def coefficients(values: Array) -> Array:
@@ -20,7 +20,7 @@ def coefficients(values: Array) -> Array:
     By the recursive filter of Unser, Aldroubi and Eden (1991), along one axis after the other.
     """
     made = np.empty_like(values)
-    for component in range(values.shape[-1]):  # in float64, and in little memory
+    for component in range(values.shape[-1]):  # one by one, in float64 and little memory
         made[..., component] = _filtered(values[..., component].astype(np.float64))
     return made
 

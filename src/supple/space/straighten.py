@@ -1,4 +1,4 @@
-"""Pictures straightened: turned, sheared, freed of perspective, and framed; one map of the plane, and its output."""
+"""Straightening of pictures: rotation, shear, perspective and frame, as one map of the plane and an output size."""
 
 from __future__ import annotations
 
@@ -19,33 +19,33 @@ Frame = Literal["crop", "pad", "keep"]
 FRAMES: tuple[str, ...] = get_args(Frame)
 
 MOST_SHEAR = 60.0  # degrees
-_LONGEST = 1 << 20  # pixels on a side: beyond them, a size is a slip
-_STEEPEST = 20.0  # times that a picture is stretched more at one place than in the middle
+_LONGEST = 1 << 20  # pixels of a side: a larger size is a mistake
+_STEEPEST = 20.0  # the largest scale at a place, over that in the middle
 _ROUNDING = 1e-6  # pixels
 _CORNERS = np.array([(0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0)])
 
 
 @dataclass(frozen=True, slots=True)
 class Straighten:
-    """How a picture is straightened, after all strokes: by the keystone, the turn and the shear, in this order.
+    """How to straighten a picture after all strokes: keystone, then rotation, then shear.
 
     Parameters
     ----------
     rotate : float
         Degrees, clockwise on a screen, about the middle of the picture.
     shear : float or (float, float)
-        Degrees by which verticals lean, and horizontals, if there are two numbers: x becomes x + y tan(first), y
-        becomes y + x tan(second), from the middle of the picture.
+            Degrees by which verticals and, with a second number, horizontals lean: x becomes x + y tan(first), y
+            becomes y + x tan(second), measured from the middle of the picture.
     keystone : sequence of four points
-        The corners of what shall be an upright rectangle, in pixels: top left, top right, bottom right, bottom left.
-        Its sides are as long as opposite sides are on average, and its middle stays where it is.
+            The corners of what should become an upright rectangle, in pixels: top left, top right, bottom right, bottom
+            left. Each of its sides has the mean length of two opposite sides, and its middle stays.
     scale_to : int or sequence of int
-        The width of the result in pixels, or its width and height: nothing is distorted, and the frame gets their
-        proportions. Empty: pixels keep their size.
+            The width of the result in pixels, or its width and height: the picture is not distorted, but its frame gets
+            these proportions. Empty: pixels keep their size.
     fit : str
-        The frame of the result. ``"crop"``: the largest with the proportions of the picture (or of its nearest quarter
-        turn) without empty corners. ``"pad"``: all of the picture, and around it what is empty. ``"keep"``: that of the
-        picture.
+            The frame of the result. ``"crop"``: the largest without empty corners, with the proportions of the picture
+            (or of its nearest quarter turn). ``"pad"``: all of the picture, with empty corners. ``"keep"``: that of the
+            picture.
     """
 
     rotate: float = 0.0
@@ -66,7 +66,7 @@ class Straighten:
         quad = tuple(point(f"keystone[{i}]", p, (2,)) for i, p in enumerate(corners))
         if quad and not _is_convex(np.array(quad)):
             refuse("keystone", f"{what} of a frame without notches", self.keystone)
-        given_sizes = np.atleast_1d(np.asarray(self.scale_to, object)).tolist()  # of one number, too
+        given_sizes = np.atleast_1d(np.asarray(self.scale_to, object)).tolist()  # a single number, too
         sizes = items("scale_to", given_sizes, "a width, or a width and a height", (0, 1, 2))
         most = f"a number of pixels from 1 to {_LONGEST}"
         choice("fit", self.fit, FRAMES)
@@ -84,13 +84,13 @@ class Straighten:
         return self.fit != "crop"
 
     def mapped(self, place: Callable[[Vector], Vector]) -> Self:
-        """Return the same for a picture in which points are where a function sends them."""
+        """Return the straightening for a picture whose points are mapped by a function."""
         return replace(self, keystone=tuple(map(place, self.keystone)))
 
     def on(self, sizes: Shape) -> tuple[Affine | Projective, tuple[int, int]]:
-        """Return the map of a picture, from pixels of the result to its own (pull), and the size of the result.
+        """Return the map from pixels of the result to those of the picture (pull), and the result's width and height.
 
-        ``sizes`` are the picture's width and height. SuppleError if the keystone is too steep for it.
+        ``sizes`` are the width and height of the picture. SuppleError if the keystone is too steep for it.
         """
         whole = np.array(sizes, np.float64)
         push = self._push((whole - 1) / 2)
@@ -122,7 +122,7 @@ class Straighten:
         first = np.where(np.abs(first - near) < _ROUNDING, near, first)
         pull = np.linalg.inv(push) @ np.array([[step, 0.0, first[0]], [0.0, step, first[1]], [0.0, 0.0, 1.0]])
         if not self.keystone:
-            exact = np.rint(pull * 2) / 2  # of quarter turns
+            exact = np.rint(pull * 2) / 2  # for quarter turns
             pull = np.where(np.abs(pull - exact) < 1e-11, exact, pull)
             pull[2] = (0.0, 0.0, 1.0)
         self._check_depth(pull, size)
@@ -131,7 +131,7 @@ class Straighten:
 
     @property
     def linear(self) -> Floats:
-        """The matrix (2, 2) of displacements that is the turn and the shear."""
+        """The matrix (2, 2) of the rotation and the shear, for displacements."""
         quarters, angle = self.rotate / 90, math.radians(self.rotate)
         k = int(quarters) % 4
         exact = ((1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0))[k]
@@ -140,9 +140,9 @@ class Straighten:
         return np.asarray(np.array([[1.0, x], [y, 1.0]]) @ np.array([[c, -s], [s, c]]))
 
     def seen(self, sizes: Shape) -> tuple[Floats, Floats]:
-        """Return how a picture of a width and a height is shown about its middle: a matrix (2, 2), and what vanishes.
+        """Return the linear part (2, 2) and the perspective part (2,) of the map about the middle of a picture.
 
-        A displacement d from the middle is shown as matrix · d / (1 + vanishing · d).
+        A displacement d from the middle is mapped to linear · d / (1 + perspective · d).
         """
         middle = (np.array(sizes) - 1) / 2
         matrix = self._push(middle)
@@ -150,7 +150,7 @@ class Straighten:
         return (matrix[:2, :2] - np.outer((x / w, y / w), matrix[2, :2])) / w, matrix[2, :2] / w
 
     def levelled(self, one: Sequence[float], other: Sequence[float]) -> Self:
-        """Return the same with the turn that makes a line between two points of the picture level, or upright."""
+        """Return the straightening with the rotation that makes a line between two points horizontal or vertical."""
         flat = replace(self, rotate=0.0, shear=(0.0, 0.0))
         dx, dy = np.diff(_through(flat._push(np.zeros(2)), np.array([one, other])), axis=0)[0].tolist()
         return replace(self, rotate=round(-math.remainder(math.degrees(math.atan2(dy, dx)), 90.0), 3) + 0.0)
@@ -173,7 +173,7 @@ class Straighten:
 
 
 def _is_convex(quad: Floats) -> bool:
-    """Return whether four points go round a convex frame, clockwise on a screen."""
+    """Return whether four points, in this order, are a convex quadrilateral, clockwise on a screen."""
     sides = np.roll(quad, -1, axis=0) - quad
     after = np.roll(sides, -1, axis=0)
     cross = sides[:, 0] * after[:, 1] - sides[:, 1] * after[:, 0]
@@ -194,16 +194,16 @@ def _rectified(quad: Floats) -> Floats:
 
 
 def _through(matrix: Floats, points: Floats) -> Floats:
-    """Return points (N, 2) as a homography sends them."""
+    """Return points (N, 2) mapped by a homography."""
     found = points @ matrix[:, :2].T + matrix[:, 2]
     return np.asarray(found[:, :2] / found[:, 2:])
 
 
 def _largest(corners: Floats, shape: Floats) -> tuple[Floats, float]:
-    """Return the middle of the largest upright rectangle of given proportions in a convex frame, and its scale.
+    """Return the middle and the scale of the largest upright rectangle of given proportions in a convex quadrilateral.
 
     For each side n·x + d ≥ 0, the middle m and the scale s satisfy n·m + d ≥ s (|n_x| w + |n_y| h) / 2: a linear
-    program of three unknowns, solved at its vertices, each of three sides. Of several solutions, their mean.
+    program in three unknowns, solved at its vertices, each given by three sides. Of several solutions, their mean.
     """
     sides = np.roll(corners, -1, axis=0) - corners
     normals = np.column_stack([-sides[:, 1], sides[:, 0]])

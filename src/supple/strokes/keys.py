@@ -1,4 +1,4 @@
-"""Keyframes: where a stroke is, how it is turned, and how large and strong it is; and the curves between them."""
+"""Keyframes: the position, angle, scale and strength of a stroke in some frames, and the curves between them."""
 
 from __future__ import annotations
 
@@ -98,11 +98,11 @@ def curve(frames: Sequence[int], values: Sequence[float], frame: float) -> float
     left, right = (_slope(frames, values, i) * step for i in (k, k + 1))
     made = values[k] + u * (left + u * (3 * rise - 2 * left - right + u * (left + right - 2 * rise)))
     low, high = sorted((values[k], values[k + 1]))
-    return min(max(made, low), high)  # rounding aside, it is there
+    return min(max(made, low), high)  # a rounding error may leave the range
 
 
 def _slope(frames: Sequence[int], values: Sequence[float], i: int) -> float:
-    """Return the slope at a key: a harmonic mean of those beside it, 0 at an extremum, and straight at the ends."""
+    """Return the slope at a key: a harmonic mean of those beside it, 0 at an extremum; at the ends, the secant's."""
     near = [k for k in (i - 1, i) if 0 <= k < len(frames) - 1]
     steps = [frames[k + 1] - frames[k] for k in near]
     slopes = [(values[k + 1] - values[k]) / step for k, step in zip(near, steps, strict=True)]

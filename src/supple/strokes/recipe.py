@@ -36,7 +36,7 @@ class Recipe:
     strokes : iterable of Stroke
         In order of application, all with the same number of coordinates. Hidden ones are not applied.
     size : sequence of int or None
-        The samples along each axis, x first, of the medium that it was made for; as many numbers as coordinates.
+            The samples along each axis, x first, of the recipe's original medium; as many numbers as coordinates.
     space : str or None
         The coordinates of points: ``"pixels"`` (indices, in volumes); or, in volumes, millimetres in ``"LPS"`` or
         ``"RAS"``. None: pixels, unless the reader of the volume determines otherwise.
@@ -97,11 +97,11 @@ class Recipe:
 
     @property
     def moves(self) -> bool:
-        """True if a stroke that is not hidden has keys, or a matte that moves: it is another one in each frame."""
+        """True if a visible stroke differs from frame to frame: it has keys, or a moving matte."""
         return any(stroke.changes and not stroke.hidden for stroke in self.strokes)
 
     def at_frame(self, frame: float) -> Self:
-        """Return the recipe of a frame of a clip, by the keys of its strokes: without keys, and for a picture.
+        """Return the recipe at a frame of a clip, with its strokes by their keys: a recipe without keys, for a picture.
 
         Parameters
         ----------
@@ -123,18 +123,18 @@ class Recipe:
         size : sequence of int
             Samples along each axis, x first.
         how : str, optional
-            Without it, only a size of the same proportions fits, within half a pixel. ``"pixels"``: same coordinates;
-            ``"stretch"``: each axis has a factor of its own, and the radius has their geometric mean;
-            ``"inside"``: x and y have the same factor, the largest that fits, and the result is centred.
+                Without it, only a size of the same proportions fits, within half a pixel. ``"pixels"``: same
+                coordinates; ``"stretch"``: each axis has its own factor, and the radius is scaled by their geometric
+                mean; ``"inside"``: x and y have the same factor, the largest that fits, and the result is centred.
         time : bool
             Whether a third axis is time. Only ``"stretch"`` scales it.
         name : str
-            The owner of the size, for messages.
+                What has this size, for messages.
 
         Raises
         ------
         SuppleError
-            If it does not fit, or ``how`` is given and the recipe has no size, or is in millimetres.
+                If the size does not fit; or ``how`` is given, and the recipe has no size or is in millimetres.
         """
         size = _checked_size(size, None)
         if how is not None and self.is_world:
@@ -148,13 +148,13 @@ class Recipe:
         if self.strokes and self.strokes[0].ndim != len(size):
             return self  # invalid recipes are reported when they are applied
         if not self.strokes and self.size is not None and len(self.size) != len(size):
-            return self  # nothing moves: a mask alone may be that of a clip's frames
+            return self  # without strokes, any mask: it may be that of a clip's frames
         if self.size is None or self.is_world or not (self.strokes or self.freeze or self.straighten):
             return replace(self, size=size)
         return self._scaled(scaling_of(self.size, size, how, time=time, name=name), size)
 
     def placed(self, offset: Sequence[float], size: Sequence[int]) -> Self:
-        """Return the recipe, which has a size, in a larger medium: its own first sample is at ``offset`` there."""
+        """Return the recipe, which has a size, for a larger medium, in which its own medium begins at ``offset``."""
         if not any(offset) or (self.strokes and self.strokes[0].ndim != len(offset)):  # the latter is refused later
             return replace(self, size=tuple(size)) if len(offset) == len(self.size or ()) else self
         return self._scaled(Scaling((1.0,) * len(offset), tuple(map(float, offset)), 1.0), tuple(size))
@@ -162,7 +162,7 @@ class Recipe:
     def _scaled(self, scaling: Scaling | None, size: Shape) -> Self:
         def masked(freeze: Freeze | None) -> Freeze | None:
             if freeze is None or self.size is None or freeze.samples[: len(self.size)] != self.size[: freeze.ndim]:
-                return freeze  # it is the medium's, or refused
+                return freeze  # already of the medium's size, or refused later
             return freeze.fitted(size, None if scaling is None else scaling.point)
 
         if scaling is None:
@@ -187,7 +187,7 @@ class Recipe:
         return made if self.straighten is None else replace(made, straighten=self.straighten.mapped(scaling.point))
 
     def to_json(self) -> str:
-        """Return the recipe as strict JSON, one stroke a line, from which `from_json` makes an equal one."""
+        """Return the recipe as strict JSON, one stroke a line; `from_json` reads it."""
         order = ("border", "border_profile", "on_fold", "amount", "space", "size", "time_scale", "freeze", "straighten")
         return written({name: getattr(self, name) for name in order}, self.strokes)
 
@@ -203,7 +203,7 @@ class Recipe:
             Twists of version 2 move points along chords (``chord``), and in clips its strokes are as long in time as in
             space, and move both (``isotropic``).
         resolve : function of dict, optional
-            Puts numbers in place of what else stands in the JSON object, as `supple.files.places.Places.resolve` does.
+                Replaces references in the JSON object by numbers, as `supple.files.places.Places.resolve` does.
 
         Raises
         ------

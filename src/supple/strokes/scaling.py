@@ -54,7 +54,7 @@ def scaling_of(
 ) -> Scaling | None:
     """Return the map of coordinates from the size ``made`` to another, as in `Recipe.fitted`; None for the identity.
 
-    SuppleError if the sizes do not fit, in which ``name`` owns the second one.
+    SuppleError if the sizes do not fit; ``name`` is what has the second one, for messages.
     """
     if how is not None:
         choice("fit", how, FITS)

@@ -27,11 +27,11 @@ LARGEST_FACTOR = 100.0
 MOST_FLAT = 0.9
 MOST_HANDLES = 1000
 PAINTINGS = frozenset(("restore", "smooth", "push"))
-"""The names of strokes that were painted, of many points at once."""
+"""The names of painted strokes, which have many points at once."""
 PART = "a number from -1 (the opposite) to 2"
 LEAST, MOST = -1.0, 2.0
-"""The range of amounts and strengths."""
-FADE = 5  # frames beyond a track, within which what follows it fades
+"""The range of a recipe's amount and a stroke's strength."""
+FADE = 5  # frames before and after a track, over which a stroke that follows it fades
 
 
 PAIRS = "pairs of a point and its drag"
@@ -72,39 +72,39 @@ class Stroke:
     scales : int
         1 reaches farthest (fading as 1/r), 2 fades as 1/r³, 3 as 1/r⁵.
     reach : float or None
-        The reach in radii, from 1: farther than that from the way of its points, from start to target, the displacement
-        is exactly 0. None: unlimited, as in the paper.
+            The reach in radii, from 1: farther than that from the path of its points, the displacement is exactly 0.
+            None: unlimited, as in the paper.
     time_radius : float or None
-        In a clip, the brush's radius in time, in frames: the brush is an ellipsoid, and the reach is so many radii of
-        either kind. None: the larger of the drag in time and an eighth of the clip, but no more than the radius is in
-        frames (`supple.strokes.time_radius_of`).
+            In a clip, the brush's radius in time, in frames: the brush is an ellipsoid, and its reach is a multiple of
+            both radii. None: the larger of the drag in time and an eighth of the clip, but at most the radius in frames
+            (`supple.strokes.time_radius_of`).
     flat : float
-        Of a grab with a reach: the part of its radius, in space and time, up to 0.9, within which all moves as its
-        point does.
+            For a grab with a reach: the fraction of its radius, in space and time, up to 0.9, within which everything
+            moves as its point does.
     brush : str
         ``"grab"`` moves the pivot by the drag. The others are affine at the pivot, and fade with the distance:
         ``"twist"`` turns it by the angle; ``"scale"`` magnifies it by the factor (in a clip, in x and y alone);
         ``"pinch"`` stretches it by the factor along the axis, and by the inverse across it (in a volume, by the
-        inverse's root along both axes across). ``"freeze"`` moves nothing: later strokes move nothing where its
-        ``matte`` is 0, which takes the place of the freeze mask before it (`Stroke.freeze` makes one).
+            inverse's root along both axes across). ``"freeze"`` moves nothing: its ``matte`` replaces the freeze mask
+            for later strokes, which move nothing where it is 0 (`Stroke.freeze` makes one).
     angle : float or None
-        Of a twist: degrees, from x towards y; in a volume, right-handed about the axis.
+            For a twist: degrees, from x towards y; in a volume, right-handed about the axis.
     factor : float or None
-        Of a scale or a pinch: above 1, it bloats or stretches; below 1, it puckers or squeezes.
+            For a scale or a pinch: above 1, it bloats or stretches; below 1, it puckers or squeezes.
     axis : sequence of float or None
-        Of a twist of three coordinates, and of a pinch: a direction, in samples. None: z or time; and x.
+            For a twist with three coordinates, or a pinch: a direction, in samples. None: z or time; or x.
     chord : bool
-        Of a twist: whether points move along chords, and so nearer to the pivot, as in recipes before version 3.
-        Otherwise they keep their distance from it.
+            For a twist: whether points move along chords, and so nearer to the pivot, as in recipes before version 3.
+            Otherwise they keep their distance from the pivot.
     isotropic : bool
-        In a clip, whether time counts as a direction in space, as in recipes before version 3: the radius is as long in
-        time, and a drag in the plane moves points in time as well. Otherwise what is not dragged stays, the plane or
-        time, unless ``poisson`` is given.
+            In a clip, whether time is like a direction in space, as in recipes before version 3: the radius in time
+            equals that in space, and a drag in the plane moves points in time as well. Otherwise a drag in the plane
+            moves nothing in time, and one in time nothing in the plane, unless ``poisson`` is given.
     also : sequence of (sequence of float, sequence of float)
-        Of a grab: further points and their drags, in samples. All are carried out at once, so that each point arrives;
-        a point with a drag of 0 is a pin.
+            For a grab: further points and their drags, in samples, applied at once, so that each point arrives; a point
+            with a drag of 0 is a pin.
     path : sequence of sequences of float
-        Of a grab: the points through which it is dragged on its way, in samples. None: a straight line.
+            For a grab: the points through which its point is dragged, in samples. None: a straight line.
     hidden : bool
         Whether it is kept in the recipe, but not applied.
     name : str or None
@@ -113,11 +113,11 @@ class Stroke:
         The applied fraction of the drag, the angle or the factor's logarithm, from -1 (the opposite) to 2; see
         `Deformation.from_recipe`.
     matte : Freeze or None
-        A factor m(p) of its displacement, 1 where it applies in full, beside the freeze mask of all strokes
-        (`Freeze.of` and `Freeze.matte_of` make them); of a freeze, its mask.
+            A factor m(p) of its displacement, 1 where it applies in full, in addition to the freeze mask (made by
+            `Freeze.of` and `Freeze.matte_of`); for a freeze, its mask.
     keys : sequence of Key
-        In a clip, of a stroke of two coordinates: where its point ``at`` is, how it is turned and scaled, and how
-        strong it is, in some frames, in ascending order. The whole stroke moves along; see `Recipe.at_frame`.
+            In a clip, for a stroke with two coordinates: the position of ``at``, the angle, scale and strength in some
+            frames, in ascending order. The whole stroke moves with them; see `Recipe.at_frame`.
     """
 
     at: Place
@@ -235,10 +235,10 @@ class Stroke:
         scales : int
             1: a wide effect, fading as 1/r. 2 and 3: more local, as 1/r³ and 1/r⁵.
         flat : float
-            The part of the radius, in space and time, up to 0.9, within which all moves as the point does; the rest
-            fades as ever. It takes a reach.
+                The fraction of the radius, in space and time, up to 0.9, within which everything moves as the point
+                does; the rest fades as usual. It requires a reach.
         radius, poisson, reach, time_radius, strength
-            As for all brushes (`Deformation`). The reach is measured from the whole way of the point.
+                As for all brushes (`Deformation`). The reach is measured from the whole path of the point.
         """
         start = point("at", at)
         if len(path) and to is None and by is None:
@@ -261,9 +261,9 @@ class Stroke:
     ) -> Self:
         """Return a stroke that turns the material around a point.
 
-        At the point, the turn is a rotation by exactly the angle, which fades with the distance; all points keep their
-        distance from it. That folds at no angle; where a fixed border or a freeze mask holds a part back, ``on_fold``
-        applies.
+        At the point, it rotates by exactly the angle, which fades with the distance; all points keep their distance
+        from the point. A twist folds at no angle; where a fixed border or a freeze mask holds a part of it back,
+        ``on_fold`` applies.
 
         Parameters
         ----------
@@ -352,13 +352,13 @@ class Stroke:
         radius : float
             About the distance between the points, or more.
         poisson, reach, time_radius, strength
-            As for all brushes. Points that are frozen are released, with a warning; of two that pull against each
-            other so that they cannot arrive without a fold, an error names both.
+                As for all brushes. Frozen points are released, with a warning; if two points pull against each other so
+                that they cannot arrive without a fold, an error names both.
 
         Warns
         -----
         OutsideWarning, FoldWarning, MissWarning
-            As all brushes do; of its first point.
+                As for all brushes, for its first point.
 
         Examples
         --------
@@ -393,10 +393,10 @@ class Stroke:
         poisson: float | None = None,
         **options: Unpack[BrushOptions],
     ) -> Self:
-        """Return a stroke that pushes what lies along a path sideways.
+        """Return a stroke that pushes the material along a path sideways.
 
-        ``by`` is how far, in pixels, to the left of the way; below 0, to the right. The options are ``poisson``,
-        ``reach`` and ``strength``, as for all brushes.
+        ``by`` is the distance, in pixels, to the left of the direction of the path; below 0, to the right. The options
+        are ``poisson``, ``reach`` and ``strength``, as for all brushes.
         """
         ends = [np.array(point(f"path[{i}]", p, (2,))) for i, p in enumerate(path)]
         lengths = np.cumsum([0.0, *(math.dist(a, b) for a, b in itertools.pairwise(ends))])
@@ -412,10 +412,10 @@ class Stroke:
 
     @classmethod
     def freeze(cls, mask: Freeze, *, ndim: int | None = None) -> Self:
-        """Return a freeze among strokes: later ones move nothing where the mask is 0; see `supple.Deformation.freeze`.
+        """Return a freeze for later strokes, which move nothing where the mask is 0; see `supple.Deformation.freeze`.
 
-        It lies in the middle of what is frozen. ``ndim`` is the number of coordinates of the other strokes, by default
-        that of the mask: strokes in time have one more.
+        Its ``at`` is the middle of the frozen part. ``ndim`` is the number of coordinates of the other strokes, by
+        default that of the mask: strokes in time have one more.
         """
         return cls(brush="freeze", at=(*mask.middle, 0.0)[: ndim or len(mask.middle)], radius=1.0, matte=mask)
 
@@ -426,16 +426,16 @@ class Stroke:
 
     @property
     def changes(self) -> bool:
-        """True if it is another one in each frame of a clip: it has keys, or a matte that moves."""
+        """True if it differs from frame to frame of a clip: it has keys, or a moving matte."""
         return bool(self.keys) or (self.ndim == 2 and self.matte is not None and self.matte.ndim == 3)
 
     @property
     def is_whole(self) -> bool:
-        """True if it is one thing, and its points are not for hands: what was painted, or adjusts a face."""
+        """True if its points are not edited one by one: it was painted, or adjusts a face."""
         return self.name is not None and (self.name in PAINTINGS or self.name.startswith("face "))
 
     def mapped(self, place: Callable[[Place], Place], turn: Callable[[Place], Place]) -> Self:
-        """Return the stroke with all its points sent through one function, its drags and its axis through another."""
+        """Return the stroke with its points mapped by ``place``, and its drags and its axis by ``turn``."""
         return replace(
             self,
             at=place(self.at),
@@ -454,7 +454,7 @@ class Stroke:
         at : sequence of float
             A point of the line or plane, in samples.
         normal : sequence of float
-            The direction across it, in samples: of a stroke with a matte, that of an axis, or SuppleError.
+                The direction across it, in samples; for a stroke with a matte, that of an axis, or SuppleError.
         """
         origin, n = np.array(point("at", at, (self.ndim,))), np.array(point("normal", normal, (self.ndim,)))
         if not n.any():
@@ -483,7 +483,7 @@ class Stroke:
         )
 
     def is_image(self, other: Stroke) -> bool:
-        """Return whether another stroke is the mirror image of this one, about what lies midway between them."""
+        """Return whether another stroke is the mirror image of this one about the line or plane midway between them."""
         across = np.subtract(other.at, self.at)
         slants = self.matte is not None and np.count_nonzero(across) > 1
         if other.brush != self.brush or not across.any() or slants:
@@ -497,9 +497,10 @@ class Stroke:
     def symmetric(self, at: Point, normal: Point) -> tuple[Self, ...]:
         """Return the strokes that make this one symmetric about a line or a plane.
 
-        Those are one that drags the points and their mirror images at once, as a pull; or, of other brushes, of grabs
-        along a path or with a plateau, and of strokes with keys or a matte, the stroke and its mirror image after it.
-        Points within a hundredth of the radius of the line are their own images, and only dragged along it.
+        A grab becomes one stroke, which drags its points and their mirror images at once, as a pull. Other brushes,
+        grabs along a path or with a plateau, and strokes with keys or a matte become two: the stroke, and then its
+        mirror image. Points within a hundredth of the radius of the line are their own images, and only dragged along
+        it.
 
         Parameters
         ----------
@@ -525,7 +526,7 @@ class Stroke:
         return (replace(self, at=pairs[0][0], by=pairs[0][1], also=tuple(pairs[1:])),)
 
     def weakened(self, part: float) -> Self:
-        """Return a part of the stroke: of its drag, its angle, or its factor's logarithm; at full strength."""
+        """Return the stroke at full strength, with a fraction of its drag, its angle, or its factor's logarithm."""
         return replace(
             self,
             by=tuple(part * x for x in self.by),
@@ -537,7 +538,7 @@ class Stroke:
         )
 
     def at_frame(self, frame: float) -> Self:
-        """Return what the stroke is in a frame of a clip, by its keys: moved, turned and scaled as a whole, and weaker.
+        """Return the stroke at a frame of a clip, by its keys: moved, turned and scaled as a whole, and weakened.
 
         Between two keys, each coordinate, the angle, the scale and the strength follow a smooth curve that never leaves
         their range; before the first and after the last, they are constant. A matte is that of the frame.
@@ -578,19 +579,19 @@ class Stroke:
         track : sequence of (int, point)
             The position of a tracked point in some frames, in ascending order (`supple.media.tracks.read_tracks`).
         frame : float, optional
-            The frame in which the stroke is where it is now: there, it keeps its distance from the tracked point, as
-            it does in all frames. By default, the first of the track.
+                The frame in which the stroke is where it is now; its distance to the tracked point in this frame is
+                kept in all frames. By default, the first of the track.
         second : sequence of (int, point)
-            A second point of the same thing: the stroke turns and grows with the way from the first to this one, in
-            the frames that both have.
+                A second point of the same object: the stroke turns and grows with the vector from the first point to
+                this one, in the frames that both have.
         outside : str
-            ``"fade"``: before and after the track, the stroke is weakened to nothing within 5 frames, unless it has
-            keys with a strength. ``"hold"``: it stays as it is at the ends of the track.
+                ``"fade"``: before and after the track, the stroke fades out within 5 frames, unless it has keys with a
+                strength. ``"hold"``: it stays as it is at the ends of the track.
 
         Raises
         ------
         SuppleError
-            If the track is none, the frame is not within it, or the stroke has positions in its keys already.
+                If the track is empty, the frame is outside it, or the stroke's keys have positions already.
         """
         choice("outside", outside, ("fade", "hold"))
         places, ends = _track(track, self.ndim), _track(second, self.ndim)
@@ -632,12 +633,12 @@ class Stroke:
 
     @property
     def handles(self) -> tuple[tuple[Place, Place], ...]:
-        """The points of a grab and their drags, in samples: one pair, and those that it has besides."""
+        """The points of a grab and their drags, in samples: its own, and then those of ``also``."""
         return ((self.at, self.by), *self.also)
 
     @property
     def direction(self) -> Place | None:
-        """The axis of a twist or a pinch, in samples, also where it is the default; None without one, as of a plane."""
+        """The axis of a twist or a pinch, in samples, or the default; None if it has none, as in a plane."""
         if self.axis is not None or self.brush not in ("twist", "pinch") or (self.brush == "twist" and self.ndim == 2):
             return self.axis
         return (0.0, 0.0, 1.0) if self.brush == "twist" else (1.0, 0.0, 0.0)[: self.ndim]
@@ -649,19 +650,19 @@ def last_freeze(strokes: Sequence[Stroke]) -> Freeze | None:
 
 
 def _track(points: Sequence[tuple[int, Point]], ndim: int) -> dict[int, complex]:
-    """Return the positions of a tracked point by their frames."""
+    """Return the positions of a tracked point by frame, as complex numbers x + iy."""
     keys = checked_keys([Key(k, tuple(at)) for k, at in points], ndim)
     return {key.frame: complex(*key.at or ()) for key in keys}
 
 
 def _place(places: dict[int, complex], frame: float) -> complex:
-    """Return the position in a frame between those of a track."""
+    """Return the position at a frame, interpolated between those of a track."""
     found = position([Key(k, (p.real, p.imag)) for k, p in places.items()], frame)
     return complex(*found or ())
 
 
 def _turns(ways: dict[int, complex], begin: float) -> tuple[dict[int, complex], dict[int, float]]:
-    """Return by what the way from one point to another is turned and scaled since a frame, and the degrees of that."""
+    """Return, by frame, the rotation and scaling of a vector since frame ``begin``, and the rotation in degrees."""
     if not ways:
         raise SuppleError("the two tracks have no frame in common: track both points through the same frames")
     for k, way in ways.items():

@@ -1,4 +1,4 @@
-"""The packed table of strokes that the core reads; and the straight grabs that make up one along a path."""
+"""The table of strokes that the core reads; and the straight grabs that make up a grab along a path."""
 
 from __future__ import annotations
 
@@ -33,15 +33,15 @@ def pack(
     ``sum_i (p_i / rho_iⁿ + q_i / rho_iⁿ⁺²) v + (r_i / rho_iⁿ⁺²) (d · v) d``. A grab has the ``power`` n = 1, and v is
     its ``force``, the displacement of the pivot; a scale and a pinch have n = 3, and v is ``matrix @ d``, where the
     matrix is the displacement's Jacobian at the pivot (de Goes and James, "Regularized Kelvinlets", 2017; section 5).
-    A twist has the profile of these, but that is the angle, in radians, by which d is turned about an axis: the matrix
-    makes the cross product with it, and ``turn`` has a factor for each component of the displacement, 0 for others.
-    Where ``reach`` is finite, that is multiplied by ``1 - 10t³ + 15t⁴ - 6t⁵``, ``t = |d| / reach``, and 0 beyond.
-    Rows that are ``joined`` act at once with the one before them: all are evaluated at the same point, and added;
-    ``most`` bounds their displacement, if it is known, and is infinite otherwise; ``mask`` is the number of their mask
-    among those of all strokes (`supple.engine.work.Mattes`), or 0. With a ``flat``, d is multiplied by
-    ``x² / (x + flat / 2) / |d|``, ``x = max(|d| - flat, 0)``, and t is that length by what it is at the reach. Unless
-    it is ``coupled``, both d beside r have no third component. All these lengths, and the matrix, are in the row's own
-    metric, in which the third axis is ``stretch`` times as long.
+    A twist has the same profile, but as the angle, in radians, by which d is turned about an axis: the matrix is that
+    of the cross product with the axis, and ``turn`` has a factor for each component of the displacement (other brushes:
+    0). Where ``reach`` is finite, the displacement is multiplied by ``1 - 10t³ + 15t⁴ - 6t⁵``, ``t = |d| / reach``, and
+    0 beyond. Rows that are ``joined`` act at once with the row before: all are evaluated at the same point, and added.
+    ``most`` bounds their displacement, or is infinite if no bound is known. ``mask`` is the number of their mask
+    (`supple.engine.work.Mattes`), or 0. With a ``flat``, d is multiplied by ``x² / (x + flat / 2) / |d|``, where
+    ``x = max(|d| - flat, 0)``, and t is the new length over its value at the reach. A row that is not ``coupled`` has
+    no third component in both d of the term with r. All these lengths, and the matrix, are in the row's own metric, in
+    which the third axis is ``stretch`` times as long.
 
     Parameters
     ----------
@@ -51,7 +51,7 @@ def pack(
     time : bool
         Whether the third axis is time.
     frames : int
-        The frames of the clip, by which rows get their stretch; 0 for 1, where the spacing is stretched.
+            The frames of the clip, from which rows get their stretch; 0: it is 1, as the spacing is stretched.
 
     Returns
     -------
@@ -80,7 +80,7 @@ def pack(
 
 
 def matrix_of(stroke: Stroke, spacing: Sequence[float], *, time: bool = False) -> Floats:
-    """Return ∂K/∂p at the pivot, in physical units, shape (3, 3): R - I of a rotation R, for instance."""
+    """Return ∂K/∂p at the pivot, in physical units, shape (3, 3): for a rotation R, it is R - I."""
     made, plane = np.zeros((3, 3)), time or stroke.ndim == 2
     axis = _axis_of(stroke, spacing)
     if stroke.angle is not None:
@@ -116,7 +116,7 @@ def _skew(axis: Floats) -> Floats:
 
 
 def poisson_of(stroke: Stroke, *, time: bool = False) -> float:
-    """Return the Poisson ratio in effect, if the third axis is ``time`` or is not."""
+    """Return the Poisson ratio in effect; ``time`` says whether the third axis is time."""
     if stroke.poisson is not None:
         return stroke.poisson
     return -math.inf if time and not any(stroke.by[:2]) else POISSON
@@ -132,7 +132,7 @@ def time_radius_of(stroke: Stroke, frames: int, time_scale: float) -> float:
 
 
 def stretch_of(stroke: Stroke, frames: int, time_scale: float) -> float:
-    """Return how much longer time is in a stroke's own metric, in which its radius in time is that in space."""
+    """Return the stretch of time in a stroke's own metric, in which its radius in time equals that in space."""
     return 1.0 if stroke.isotropic else stroke.radius / (time_scale * time_radius_of(stroke, frames, time_scale))
 
 
@@ -145,7 +145,7 @@ def _terms(radius: float, poisson: float, scales: int, brush: Brush) -> Floats:
     radius2, p, q, r = made
     radius2[:] = radius**2
     if brush != "grab":
-        # Of a rotation and of a scale, the part with b vanishes, or is proportional to that with a.
+        # For a rotation and a scale, the term with b vanishes, or is proportional to that with a.
         share = ratio if brush == "pinch" else 0.0
         scale = radius**3 / (2.5 - 2 * share)
         p[0], q[0], r[0] = scale * (1 - 2 * share), scale * 1.5 * radius**2, scale * 3 * share
@@ -186,7 +186,7 @@ def legs(stroke: Stroke, spacing: Sequence[float]) -> tuple[Stroke, ...]:
 
 
 def _corners(points: Floats, first: int, last: int, tolerance: float) -> list[int]:
-    """Return the points of a line between two of it that are needed to stay within a tolerance (Douglas-Peucker)."""
+    """Return the indices of inner points that keep a part of a line within a tolerance (Douglas-Peucker)."""
     if last - first < 2:
         return []
     way, offs = points[last] - points[first], points[first + 1 : last] - points[first]

@@ -20,7 +20,7 @@ from supple.strokes.table import POISSON
 VERSION = 3
 T = TypeVar("T", Key, Straighten)
 
-# Of a stroke, in this order; the others only if they are not the default.
+# The members of a stroke that are always written; others only if they differ from the default; all in this order.
 _ALWAYS = ("brush", "at", "radius", "scales", "reach", "poisson", "strength")
 _ORDER = (
     "brush", "at", "by", "angle", "factor", "also", "path", "axis", "chord", "isotropic", "radius", "scales", "reach",
@@ -29,7 +29,7 @@ _ORDER = (
 
 
 def written(members: Mapping[str, object], strokes: Iterable[Stroke]) -> str:
-    """Return the text of a recipe of some fields and strokes; fields that are None are left out, but for the border."""
+    """Return the text of a recipe from its fields and strokes; fields that are None are left out, except the border."""
     head = {"supple": VERSION, **{k: v for k, v in members.items() if v is not None or k == "border"}}
     lines = [f"  {_dump(key)}: {_dump(value)}" for key, value in head.items()]
     entries = ",\n".join(f"    {_dump(stroke)}" for stroke in strokes)
@@ -62,7 +62,7 @@ def read(text: str, names: Sequence[str], resolve: Callable[[dict[str, Any]], No
 
 
 def _plain(value: Any) -> object:
-    """Return a value as JSON has it: whole numbers without a fraction, lists, and objects of what is not usual."""
+    """Return a value as JSON has it: whole numbers without a fraction, lists, and objects of fields that differ."""
     if isinstance(value, Freeze):
         return value.entry()
     if isinstance(value, Stroke):

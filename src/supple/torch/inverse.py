@@ -16,8 +16,8 @@ from supple.space.checks import checked_spacing, refuse
 from supple.space.splines import coefficients
 from supple.torch.taps import adjoint, around, count
 
-_ROOM = 1 << 18  # the samples around points that are processed at once
-# The statuses that have gradients: beyond its grid, too, a field goes on by its edge, but not by zero.
+_ROOM = 1 << 18  # samples around points that are read at once
+# The statuses with gradients: outside its grid, a field continues by its edge; one that is zero there has none.
 _SOLVED = {"edge": [OK, OUTSIDE], "zero": [OK]}
 
 
@@ -28,10 +28,10 @@ class Inverted:
     Parameters
     ----------
     values : tensor, shape (D, *shape) or (N, D, *shape)
-        The inverse displacements, x first, in physical units, of the type of the fields. At a sample that is not OK, it
-        is the nearest that was found.
+            The inverse displacements, x first, in physical units, of the type of the fields. At a sample that is not
+            OK, it is the best that was computed.
     error : float32 tensor, shape (*shape) or (N, *shape)
-        A bound on the distance from the true inverse of the interpolant, in physical units; inf where it is not known.
+            A bound on the distance from the true inverse of the interpolant, in physical units; inf where unknown.
     status : uint8 tensor, of the shape of ``error``
         For each sample, the number of its name in `supple.fields.STATUS`: ``"ok"``, ``"folded"``, ``"outside"`` or
         ``"unconverged"``, as in `supple.fields.Inverted`.
@@ -64,13 +64,13 @@ def invert(
     Parameters
     ----------
     values : float32 or float64 tensor, shape (2, H, W), (N, 2, H, W), (3, Z, H, W) or (N, 3, Z, H, W)
-        The displacements, x first, in physical units, along the axes of the tensor. A tensor of shape (3, 2, H, W) is
-        three fields in the plane; one volume of two slices takes an axis for the batch.
+            The displacements, x first, in physical units, along the axes of the tensor. A shape of (3, 2, H, W) is read
+            as three fields in the plane: one volume of two slices needs a batch axis.
     spacing : float or sequence of float
         Physical units from a sample to the next; one for all axes, or one for each, x first.
     interpolation : str
-        ``"linear"``; ``"cubic"``, a cubic B-spline through the values; ``"bspline"``, values are its coefficients, and
-        the result is without the first and the last along each axis, as they are beyond the field.
+            ``"linear"``; ``"cubic"``, a cubic B-spline through the values; ``"bspline"``, the values are coefficients,
+            and the result lacks the first and the last along each axis, as these lie beyond the field.
     beyond : str
         The displacement outside the grid: that of the nearest point of the ``"edge"``, or ``"zero"``.
     tolerance : float
@@ -88,8 +88,8 @@ def invert(
     Warns
     -----
     FoldWarning, OutsideWarning, ToleranceWarning
-        If gradients are wanted, and are zero at samples whose status is folded, unconverged, or, of a field that is
-        zero beyond its grid, outside.
+            If gradients are wanted, and are zero at samples whose status is folded, unconverged, or, for fields that
+            are zero beyond their grid, outside.
 
     Notes
     -----
@@ -106,7 +106,7 @@ def invert(
 
 
 def _checked(values: object) -> tuple[torch.Tensor, bool]:
-    """Return fields as a batch, and whether one was given without it."""
+    """Return fields as a batch, and whether ``values`` had no batch axis."""
     wanted = "a tensor of shape (2, H, W), (N, 2, H, W), (3, Z, H, W) or (N, 3, Z, H, W)"
     if not isinstance(values, torch.Tensor):
         refuse("values", f"{wanted} (Field.invert takes arrays)", values)
@@ -153,7 +153,7 @@ class _Inverse(torch.autograd.Function):
 
     @staticmethod
     def backward(ctx: Any, gradient: torch.Tensor, *_: Any) -> tuple[torch.Tensor | None, ...]:
-        """Return ∂L/∂values, differentiable in all that it is computed from.
+        """Return ∂L/∂values, differentiable with respect to the values and the gradient.
 
         With i the index of a position, i → i + w(i). For a loss L of the points i(w) that are solutions of
         i + w(i) = q,
@@ -163,7 +163,7 @@ class _Inverse(torch.autograd.Function):
         where S interpolates at the points i, and J = ∂w/∂i there.
         """
         spacing, interpolation, beyond = ctx.options.values()
-        # Devices other than NVIDIA's may have no float64.
+        # Only NVIDIA's devices are sure to have float64.
         where = gradient.device if gradient.is_cuda else "cpu"
         values, inverse, status, slopes = (x.to(where) for x in (*ctx.saved_tensors, gradient))
         n, sizes, edge = values.shape[1], values.shape[:1:-1], int(interpolation == "bspline")
@@ -192,10 +192,10 @@ class _Inverse(torch.autograd.Function):
 
 
 class _Coefficients(torch.autograd.Function):
-    """The coefficients of the cubic B-splines through values (N, D, *shape), as fields have them.
+    """The coefficients of the cubic B-splines through values (N, D, *shape), as fields use them.
 
-    B takes coefficients to values, and W B is symmetric, W having 1/2 at the ends of each axis and 1 elsewhere. So the
-    adjoint of B⁻¹ is W B⁻¹ W⁻¹.
+    B maps coefficients to values. W B is symmetric, where W is diagonal, with 1/2 at the ends of each axis and 1
+    elsewhere; so the adjoint of B⁻¹ is W B⁻¹ W⁻¹.
     """
 
     @staticmethod

@@ -1,12 +1,12 @@
-"""Strokes of which some numbers are tensors: checked, as deformations, and applied to points differentiably.
+"""Strokes with tensors in place of some numbers: checked, as deformations, and applied to points differentiably.
 
-In physical units, with r = p - pivot, s = |r|² and p taken into the domain where its border is fixed, a stroke moves by
+In physical units, with r = p - pivot, s = |r|² and p clamped to the domain along fixed axes, a stroke moves by
 
     K(p) = diag(β) m [A(s) v + B(s) (r·v) r]
 
-where A and B are those of its row of the table (`supple.strokes.pack`), scaled with the radius; m is that of the reach
-times that of the freeze mask; and v is the force of a grab, or M r. A twist has R r - r in place of [...], R being the
-rotation by the angle A(s). Strokes that act at once move one point, and their displacements are added.
+where A and B are those of its row of the table (`supple.strokes.pack`), scaled with the radius; m is the reach's factor
+times the freeze mask's; and v is the force of a grab, or M r. A twist has R r - r in place of [...], where R is the
+rotation by the angle A(s). Strokes that act at once are evaluated at the same point, and their displacements added.
 """
 
 from __future__ import annotations
@@ -34,11 +34,11 @@ Given = dict[str, torch.Tensor]  # at, by and radius, which replace numbers of a
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Strokes:
-    """Strokes as a table, of whose n rows some numbers are tensors: composed in order, they make T.
+    """A table of n strokes, some of whose numbers are tensors; composed in order, they make T.
 
-    The numbers (n, 3 D + 2) are pivots and forces, in physical units; the factors of displacements along each axis;
-    radii, in physical units; and the stretches of time. ``axes`` (D, 5) are those of the packed domain; ``mask``, the
-    freeze mask and its coefficients, from 0 to 1.
+    ``numbers`` (n, 3 D + 2) has, for each stroke, its pivot and force, in physical units; the factors of its
+    displacement along each axis; its radius, in physical units; and its stretch of time. ``axes`` (D, 5) are those of
+    the packed domain; ``mask``, the freeze mask and its coefficients, from 0 to 1.
     """
 
     numbers: torch.Tensor
@@ -84,9 +84,9 @@ class Strokes:
 
 
 def strokes_of(d: Deformation, given: Given, like: torch.Tensor, dtype: torch.dtype) -> Strokes:
-    """Return the strokes of a deformation, of a type, on the device of a tensor.
+    """Return the strokes of a deformation, of type ``dtype``, on the device of ``like``.
 
-    If any tensor is given, they are differentiable in these; SuppleError for strokes that have no gradients.
+    They are differentiable with respect to the given tensors, if any; SuppleError for strokes without gradients.
     """
     n, table, axes = d.ndim, d.space.table, d.space.axes[: d.ndim]
     damping = d.resolution()["damping"]
@@ -110,7 +110,7 @@ def strokes_of(d: Deformation, given: Given, like: torch.Tensor, dtype: torch.dt
         pivot = given["at"] * steps
     if "by" in given:
         force = given["by"] * steps * _tensor(damping, like)[:, None]
-    if given and d.on_fold == "flow":  # which makes up for a fixed border, unless the pivot is outside of it
+    if given and d.on_fold == "flow":  # a flow compensates the border's factor for pivots in the domain
         near, beta = _edges(pivot.T, axes)
         correction = (beta > 0) / torch.where(beta > 0, beta, 1)
         gain = torch.where((near == pivot.T).all(0), correction, 1).T.expand_as(pivot)
@@ -146,7 +146,7 @@ def _edges(points: torch.Tensor, axes: npt.NDArray[np.float64]) -> tuple[torch.T
 
 
 def _profiles(distance2: torch.Tensor, radius: torch.Tensor, row: np.void) -> tuple[torch.Tensor, torch.Tensor]:
-    """Return A and B of a row, with the m of its reach, as they are for another radius."""
+    """Return A and B of a row for another radius, multiplied by the reach's factor m."""
     n, own = int(row["power"]), math.sqrt(row["radius2"][0])
     a, b, radius2 = torch.zeros_like(distance2), torch.zeros_like(distance2), radius * radius
     columns = row["radius2"] / own**2, row["p"] / own**n, row["q"] / own ** (n + 2), row["r"] / own**n
@@ -156,7 +156,7 @@ def _profiles(distance2: torch.Tensor, radius: torch.Tensor, row: np.void) -> tu
         v = torch.sqrt(share) if n == 1 else torch.sqrt(share) * share
         a, b = a + v * (p + q * share), b + v * near * r
     if row["reach"] < math.inf:
-        # The root has no derivative at 0, where that of m is 0.
+        # The root has no derivative at 0, but the derivative of m is 0 there.
         end = radius * (float(row["reach"]) / own)
         if row["flat"] > 0:
             end = _eased(end, radius * _flat(row))
@@ -167,7 +167,7 @@ def _profiles(distance2: torch.Tensor, radius: torch.Tensor, row: np.void) -> tu
 
 
 def _flat(row: np.void) -> float:
-    """Return the part of the radius of a row that is its plateau."""
+    """Return the radius of a row's plateau, as a fraction of the row's radius."""
     return float(row["flat"] / math.sqrt(row["radius2"][0]))
 
 
@@ -197,10 +197,10 @@ def _tensor(values: npt.ArrayLike, like: torch.Tensor) -> torch.Tensor:
 def items(
     deformation: Deformation | Sequence[Deformation], tensors: dict[str, torch.Tensor | None]
 ) -> tuple[list[tuple[Deformation, Given]], tuple[int, ...], bool]:
-    """Return the deformations of the items of a batch, with strokes as tensors say, their shape, and if it is a batch.
+    """Return the deformation of each item, with its tensors, the shape, and whether there is a batch.
 
-    Without one, the only deformation is for all of a tensor. Beside each are the tensors (at, by, radius) if gradients
-    of them are wanted, or none. SuppleError if the arguments do not fit each other.
+    Without a batch, the one deformation is for the whole tensor. The tensors (at, by, radius) are included only if
+    their gradients are wanted. SuppleError if the arguments do not fit each other.
     """
     many: Any = [deformation] if isinstance(deformation, Deformation) else deformation
     if not isinstance(many, Sequence) or not many or not all(isinstance(d, Deformation) for d in many):

@@ -17,7 +17,7 @@ def _keys(a: float) -> Kernel:
     return -1, [[0, a, -2 * a, a], [1, 0, -a - 3, a + 2], [0, -a, 2 * a + 3, -a - 2], [0, 0, a, -a]]
 
 
-# The first of the samples around a point, from the whole one, and the weights of all: polynomials of the fraction.
+# The first sample around a point, relative to its whole part, and the weights of all: polynomials of the fraction.
 _KERNELS: dict[str, Kernel] = {
     "nearest": (0, [[1]]),
     "linear": (0, [[1, -1], [0, 1]]),
@@ -34,9 +34,9 @@ def count(kinds: Sequence[str]) -> int:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Taps:
-    """The T samples around each of P points: their indices, and which are inside the array (None: all), both (T, P).
+    """The T samples around each of P points: their indices, and whether they are in the array (None: all), both (T, P).
 
-    ``rest`` are the fractions of the points (D, P), and ``kinds`` the kernels along the axes.
+    ``rest`` are the fractional parts of the points (D, P), and ``kinds`` the kernels along the axes.
     """
 
     index: torch.Tensor
@@ -98,7 +98,7 @@ def around(whole: torch.Tensor, rest: torch.Tensor, sizes: Sequence[int], kinds:
             within = (i >= 0) & (i < size)
             inside = within if inside is None else (within[:, None] & inside).flatten(0, 1)
         if outside in ("reflect", "mirror"):
-            twice = outside == "reflect"  # the last sample
+            twice = outside == "reflect"  # the mirrored last sample is repeated
             period = max(2 * size - 2 + 2 * twice, 1)
             i = torch.minimum(i % period, period - twice - i % period)
         index = ((i.clamp(0, size - 1) * stride)[:, None] + index).flatten(0, 1)

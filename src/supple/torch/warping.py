@@ -1,7 +1,7 @@
 """Warps of tensors, and T of points, with gradients.
 
-Values are computed by the engine of the tensor's device. The backward pass reads the same samples again at the points
-p(θ) = T⁻¹(q; θ), however these were solved: for a loss L of them, T(p; θ) = q gives, at fixed p,
+Values are computed by the engine of the tensor's device. The backward pass samples again at p(θ) = T⁻¹(q; θ), whatever
+the solver was: for a loss L of these points, T(p; θ) = q gives, at fixed p,
 
     dL/dθ = -Σ_q λᵀ ∂T(p; θ)/∂θ,    (I+J)ᵀ λ = ∂L/∂p.
 """
@@ -33,7 +33,7 @@ _SMOOTH = ("nearest", "linear", "cubic")
 _FLOATS = (torch.float16, torch.bfloat16, torch.float32, torch.float64)
 _ROOM = 1 << 23  # the numbers in memory for points processed at once, mostly for gradients of T
 _SOLVED = 1 << 18  # points that are solved at a time
-_OF_MASKS = 8  # as many terms of a stroke need as much room as the freeze mask's
+_OF_MASKS = 8  # a freeze mask needs as much memory as this many other terms of a stroke
 
 
 def warp(
@@ -64,7 +64,7 @@ def warp(
         Whether to apply T⁻¹ in place of T, as in `supple.Deformation.warp`; without gradients of strokes.
     sampling : Sampling, optional
         How the tensor is sampled: without ``linear_light`` and ``time_filter``, and by ``filter="linear"`` by default.
-        There are gradients for all filters but ``"auto"``. Of float64 tensors that require them, each point is solved.
+            There are gradients for all filters but ``"auto"``. For float64 tensors with gradients, points are solved.
     **options
         Fields of the sampling to replace: ``filter="cubic"``.
 
@@ -193,7 +193,7 @@ def _warped(
 
 
 def _working(tensor: torch.Tensor) -> torch.dtype:
-    """Return the type for work on a tensor outside of the core and CUDA."""
+    """Return the type of computations in PyTorch for a tensor."""
     return torch.float64 if tensor.dtype == torch.float64 else torch.float32
 
 
@@ -212,14 +212,14 @@ def _values(tensor: torch.Tensor, space: Space, sampling: Sampling) -> torch.Ten
 
 
 def _pixels(index: torch.Tensor, space: Space) -> torch.Tensor:
-    """Return the pixels (D, P), x first, with flat indices (P,)."""
+    """Return the coordinates (D, P), x first, of pixels given by flat indices (P,)."""
     return torch.stack(torch.unravel_index(index, space.whole)[::-1])
 
 
 def offsets_of(like: torch.Tensor, space: Space, tolerance: float) -> torch.Tensor:
-    """Return T⁻¹(q) - q of all M pixels q, (D, M), which float32 holds to their accuracy for images of any size.
+    """Return T⁻¹(q) - q for all M pixels q, (D, M): in float32 as accurate as the points, for images of any size.
 
-    They are on the device of ``like``, in its working type, and 0 where T moves nothing.
+    They are on the device of ``like``, in its working type, and 0 at unchanged pixels.
     """
     dtype, total = _working(like), math.prod(space.whole)
     if space.is_identity:
@@ -253,7 +253,7 @@ def offsets_of(like: torch.Tensor, space: Space, tolerance: float) -> torch.Tens
 def _parts(
     offsets: torch.Tensor, space: Space, sampling: Sampling, strokes: Strokes | None
 ) -> Iterator[tuple[slice, torch.Tensor, Taps]]:
-    """Yield pixels, some at a time: which these are, their source points (D, P), and the samples around these."""
+    """Yield slices of the pixels, with their source points (D, P), and the samples around these."""
     between = "catmull-rom" if sampling.between == "cubic" else sampling.between_frames
     kinds, terms = [sampling.filter, sampling.filter, between][: space.ndim], 0
     if strokes is not None:
@@ -278,10 +278,10 @@ class _Warp(torch.autograd.Function):
         offsets = None
         if tensor.dtype != torch.float64:
             result = _values(tensor, space, sampling)
-        else:  # as exactly as gradients are
+        else:  # the same points as for gradients
             offsets, flat = offsets_of(tensor, space, sampling.tolerance), tensor.reshape(len(tensor), -1)
             parts = [taps.between(taps.samples(flat, sampling.fill)) for _, _, taps in _parts(offsets, *ctx.job)]
-            # Unchanged pixels are copied, so that no NaN of a neighbour reaches them.
+            # Unchanged pixels are copied, so that NaN do not spread to them.
             result = torch.where(offsets.any(0), torch.cat(parts, 1), flat).reshape(tensor.shape)
         ctx.save_for_backward(None if strokes is None else tensor, offsets)
         return result

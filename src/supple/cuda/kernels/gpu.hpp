@@ -1,4 +1,4 @@
-// What GPUs read samples with; hosts have a type of 16 bits with a fraction of their own.
+// How GPUs read samples; hosts have their own half-precision type.
 #pragma once
 #include "simd.hpp"
 

@@ -1,7 +1,7 @@
-// What kernels are given: the job, in the layout of `supple.cuda.layout`, and maps in one block of memory.
+// The arguments of kernels: the job, in the layout of `supple.cuda.programs`, and maps in one block of memory.
 //
-// The same text is compiled by NVRTC for GPUs (kernels.cu), and by a C++ compiler for tests, which have what stands in
-// for a GPU (host.cpp), and run its blocks one by one.
+// NVRTC compiles this text for GPUs (kernels.cu), and a C++ compiler for tests, which simulate a GPU
+// (tests/cuda/host.cpp) and run its blocks one by one.
 #pragma once
 #include "footprint.hpp"
 #include "map.hpp"
@@ -10,7 +10,7 @@
 
 namespace supple::cuda {
 
-// Where samples lie from one another; in arrays of fewer than 2³¹ samples, SMALL, in half as many bits.
+// The distance between samples, in samples; for arrays of fewer than 2³¹ samples (SMALL), in 32 bits.
 #if defined(SMALL)
 using Step = int;
 #else
@@ -23,25 +23,25 @@ struct Samples {
     int64_t plane, row, column, channel;
 };
 
-// Of the map: bits of a float that is not negative, counts.
+// The results of a map's checks: the largest error, as the bits of a float, and counts.
 struct Told {
     int worst, rough, unsolved, folded, outside;
 };
 
-// The place that a pixel is sampled at: whole numbers and fractions; ∂p/∂x and ∂p/∂y in the plane; |∂p_z/∂q|².
+// The source point of a pixel: whole numbers and fractions; ∂p/∂x and ∂p/∂y in the plane; |∂p_z/∂q|².
 template <int D>
 struct Point {
     int whole[D];
     float part[D];
     float across[2], down[2], rate2;
-    int same;  // outside every ball, or frozen: what is there is copied
+    int same;  // outside every ball, or frozen: the sample is copied
 };
 
 template <int D>
 constexpr int RUN = D == 3 ? 8 : 1;  // planes whose nodes are solved by one thread
 
-// The i-th of many records of WORDS numbers of 32 bits. 32 of them lie together, number by number, so that the threads
-// of a warp, which have one each, read and write side by side.
+// The i-th of many records of WORDS numbers of 32 bits. Records are interleaved in groups of 32, number by number, so
+// that the threads of a warp, with a record each, read and write adjacent addresses.
 template <int WORDS>
 class Record {
     float* first;
@@ -58,7 +58,7 @@ struct NodeRecord : Record<D*(D + 3) + 2> {
     enum { WHOLE = 0, PART = D, M = 2 * D, MIXED = M + D * D, SMOOTH = MIXED + D };
     using Record<D*(D + 3) + 2>::Record;
 };
-// The patch of a cell: of each coordinate a whole number and the powers of the rest; in volumes, ∂p_z/∂z, bilinear.
+// The patch of a cell: for each coordinate, a whole number, and the powers of the rest; in volumes, a bilinear ∂p_z/∂z.
 template <int D>
 struct LeafRecord : Record<17 * D + (D == 3 ? 4 : 0)> {
     enum { ANCHOR = 0, C = D, DEPTH = 17 * D };
@@ -69,22 +69,22 @@ struct Job {
     const Map* maps;     // one for each plane, or one
     const int *xs, *ys;  // the nodes, in pixels
     void *nodes, *leaves;
-    int *states, *rough;  // of each cell; the rough ones
+    int *states, *rough;  // of each cell; the list of rough cells
     Told* told;
     Samples source, out;
     const double* fill;  // of each channel
-    uint64_t top;        // the largest value of whole numbers, which is `high`
+    uint64_t top;        // the largest value of integers, equal to `high`
     double tolerance, white, high;
     int map_count, planes, first, shared;  // lattices; the number of the first; the images that share one, or 0
     int width, height, nx, ny;             // pixels, and nodes
     int from_x, from_y;                    // the pixel of the map that the output begins with
-    int w, h, count, held_from;            // of the source: its size, its frames, and the first that is there
+    int w, h, count, held_from;            // of the source: size, number of frames, and the first frame in memory
     int channels, between, rule, average, alpha, light;
 };
 static_assert(sizeof(Job) == JOB_BYTES, "the layout of jobs");
-enum State { GOOD = -1, RIM = -2, STILL = -3 };  // of a cell; from 0 on: its place among the rough ones
+enum State { GOOD = -1, RIM = -2, STILL = -3 };  // the state of a cell; 0 and more: its index among the rough cells
 
-// Where a sample of the source is: PACKED has the channels of each pixel together, that many, and pixels side by side.
+// The index of a sample of the source. PACKED is the number of channels of a pixel, if pixels are contiguous.
 INLINE Step source_at(const Job& job, int z, int y, int x, int c = 0) {
 #if defined(PACKED)
     const Step column = PACKED, channel = 1;
@@ -97,7 +97,7 @@ INLINE Step out_at(const Job& job, int z, int y, int x, int c = 0) {
     return z * (Step)job.out.plane + y * (Step)job.out.row + x * (Step)job.out.column + c * (Step)job.out.channel;
 }
 
-// Programs are compiled for strokes, or for composites; and for a way to sample; tests for all.
+// Programs are specialized for strokes or composites, and for a way to sample; those of tests are not.
 #if defined(COMPOSED)
 INLINE constexpr bool composed(const Map&) { return COMPOSED; }
 #else

@@ -1,4 +1,4 @@
-// The programs that NVRTC compiles, of one kernel each: UNIT, of DIM dimensions; and what is painted: SAMPLE, NUMBER,
+// The programs that NVRTC compiles, one kernel each: UNIT, for DIM dimensions; and, for painting: SAMPLE, NUMBER,
 // TOGETHER (channels), CHOSEN (the filter), BETWEEN, AVERAGE and LIGHT.
 #include "gpu.hpp"
 #include "paint.hpp"
@@ -6,8 +6,8 @@
 using namespace supple;
 using namespace supple::cuda;
 
-// Blocks that run at once are worth some registers, as was measured on an H100: to fill, a GPU waits for memory more
-// than it computes. Without __grid_constant__, a thread would copy its job before a call that is given its address.
+// More blocks at once are worth fewer registers, as measured on an H100: to fill, a GPU waits for memory more than it
+// computes. Without __grid_constant__, each thread would copy its job before passing its address to a call.
 #if UNIT == 3
 #define BLOCKS (TOGETHER == 1 ? 10 : 8)
 #elif UNIT > 0 && UNIT < 3 && defined(COMPOSED) && !COMPOSED

@@ -1,5 +1,5 @@
-// The kernels that find T⁻¹: at the nodes of a lattice of small cells, in patches between them, which
-// are certified, and at each pixel of the rough cells, which are not split.
+// The kernels that solve T⁻¹: at the nodes of a lattice of small cells, in certified patches between them,
+// and at each pixel of the rough cells, which are not split.
 #pragma once
 #include "job.hpp"
 
@@ -8,9 +8,8 @@ namespace supple::cuda {
 constexpr float ROUNDING = 1.2e-7f;    // of float32, relative
 constexpr double CLOSE_ENOUGH = 0.01;  // of the tolerance: the last step of a pixel that is solved
 
-// The node (k, j) of RUN<D> planes, one after the other: each is guessed from the last one. Runs are those of all
-// planes, so that no bit depends on which of them a launch begins with; what lies before that is solved, and not
-// written.
+// Solve the node (k, j) of RUN<D> planes in order, each with a guess from the one before. Runs are aligned to all
+// planes, so that no bit depends on the first plane of a launch; planes before that are solved, but not written.
 template <int D>
 INLINE void solve_node(const Job& job) {
     const int64_t i = thread(), each = (int64_t)job.nx * job.ny;
@@ -25,7 +24,7 @@ INLINE void solve_node(const Job& job) {
         double q[D];
         for (int d = 0; d < D; d++) q[d] = at[d] * map.axes[d].spacing;
         if (composed(map)) {
-            if (plane < 0 || !map.composite->smooth) continue;  // without, every pixel is solved
+            if (plane < 0 || !map.composite->smooth) continue;  // otherwise, every pixel is solved
             const Passed<double> passed = solve_composite<D, true>(*map.composite, q, found);
             found.at.done = passed.done && passed.within && passed.upright;
         } else {
@@ -55,7 +54,7 @@ INLINE void solve_node(const Job& job) {
     }
 }
 
-// Whether no ball of a stroke reaches a box (STILL), or some of its points lie outside of all of them (RIM), or none.
+// STILL if no stroke's ball reaches a box, RIM if some of its points may be outside of all balls, and GOOD otherwise.
 template <int D>
 INLINE int reached(const Map& map, const double* low, const double* high) {
     if (composed(map) || (!map.limited && !map.freeze)) return GOOD;
@@ -81,7 +80,7 @@ INLINE int reached(const Map& map, const double* low, const double* high) {
     return !touched ? STILL : covered && !map.freeze ? GOOD : RIM;
 }
 
-// Whether nothing moves at a pixel: a call, so that it takes no registers of the many that need not ask.
+// Whether a pixel is unmoved. A function call, so that the many pixels that do not need it have more registers.
 template <int D>
 NOINLINE bool unmoved(const Job& job, int plane, int x, int y) {
     const Map& map = map_of(job, plane);
@@ -143,7 +142,7 @@ INLINE void check_cell(const Job& job) {
             rounding = most(rounding, off + ROUNDING * most(magnitude(value[v]), 1.0f));
         }
     }
-    // A patch is as far off as the Newton step from it, or, of a composite, from its solution.
+    // The error of a patch is the Newton step from it, or, for a composite, its distance to the solution.
     const double reserve = composed(map) || map.freeze ? ROUGH : RESERVE, most_off = least(job.tolerance, COARSEST);
     double worst = 0;
     for (int n = 0; good && !single && n < SEEN; n++) {
@@ -186,7 +185,7 @@ INLINE void check_cell(const Job& job) {
     atomicMax(&job.told->worst, __float_as_int((float)(most(reserve * worst, (double)rounding) * (1 + 1e-6))));
 }
 
-// The point of a pixel of a rough cell, which is solved.
+// Solve the source point of a pixel of a rough cell.
 template <int D>
 NOINLINE void solve_pixel(const Job& job, int plane, int x, int y, Point<D>& point) {
     const Map& map = map_of(job, plane);
@@ -211,7 +210,7 @@ NOINLINE void solve_pixel(const Job& job, int plane, int x, int y, Point<D>& poi
     if (!found.done) atomicAdd(&job.told->unsolved, 1);
     for (int d = 0; d < D; d++) {
         double p = within(found.p[d] / map.axes[d].spacing, -1e9, 1e9);
-        if (!found.done) p = within(p, at[d] - FAR, at[d] + FAR);  // a guess must not lead to the memory of all frames
+        if (!found.done) p = within(p, at[d] - FAR, at[d] + FAR);  // unsolved points must not require all frames
         point.whole[d] = (int)floored(p);
         point.part[d] = (float)(p - point.whole[d]);
         for (int e = 0; e < D; e++) found.m[e][d] *= map.axes[e].spacing / map.axes[d].spacing;

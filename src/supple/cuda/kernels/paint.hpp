@@ -1,13 +1,13 @@
-// The kernels that fill planes: the point that each pixel is sampled at, from the patch of its cell or solved, and its
-// colour. T is the type of the samples, N that of sums, C the number of channels that are summed together: all of them,
-// 1 or 3, or up to 4, of which one may be the opacity.
+// The kernels that fill planes: the source point of each pixel, from the patch of its cell or solved, and its colour. T
+// is the type of the samples, N that of sums, C the number of channels that are summed together: all of them, 1 or 3,
+// or up to 4, one of which may be opacity.
 #pragma once
 #include "lattice.hpp"
 
 namespace supple::cuda {
 
-constexpr int GROUPED = 4;  // channels that are summed together, of any number, perhaps with opacity
-constexpr int MAP = 4;      // no filter: the points themselves are written, or their displacements if it is `average`
+constexpr int GROUPED = 4;  // channels that are summed together, for any number of channels, and opacity
+constexpr int MAP = 4;      // no filter: the points themselves are written, or, with `average`, their displacements
 
 template <class T>
 constexpr bool WHOLE = T(0.5f) == T(0);
@@ -31,7 +31,7 @@ struct Sum {
 // Weights of RANK products of TAPS columns and rows.
 template <class N, int RANK, int TAPS>
 struct Taps {
-    static constexpr int before = TAPS / 2 - 1;  // those before the point
+    static constexpr int before = TAPS / 2 - 1;  // samples before the point
     N across[RANK][TAPS], down[RANK][TAPS];
 };
 
@@ -41,7 +41,7 @@ struct Group {
     const Job& job;
     int first, some;  // the first colour, and their number
 
-    // `value(c)` of each channel.
+    // The sum with `value(c)` of each channel.
     template <class Value>
     INLINE Sum<N, C> sum_of(Value value) const {
         Sum<N, C> s{};
@@ -94,7 +94,7 @@ struct Group {
     INLINE void write(const Sum<N, C>& s, T* p) const {
         N opacity = 0;
         if (C == GROUPED && job.alpha >= 0) {
-            // A cubic overshoots: opacity is clamped, and colours are divided by what is not.
+            // A cubic overshoots: clamp opacity, but divide colours by the unclamped value.
             opacity = s.v[C - 1];
             p[out_at(job, 0, 0, 0, job.alpha)] = rounded(least(most(opacity, N(0)), (N)job.white));
         }
@@ -118,8 +118,8 @@ INLINE void each_group(const Job& job, Use use) {
         use(Group<T, N, C>{job, first, colours - first < each ? colours - first : each});
 }
 
-// A frame, or the constant where there is none; or a level of its pyramid, whose samples are averages of 2ᵏ × 2ᵏ, made
-// as they are read; an odd edge repeats its last one. `count` levels may be asked for.
+// A frame, or the fill value if there is none; or a level of its pyramid, whose samples are averages of 2ᵏ × 2ᵏ,
+// computed when they are read; an odd edge repeats its last sample. There are up to `count` levels.
 template <class T, class N, int C>
 struct Level {
     const Group<T, N, C>& group;
@@ -133,7 +133,7 @@ struct Level {
         y = placed(y, side(job.h, k), job.rule);
         if (!frame || x < 0 || y < 0) return group.constant();
         Sum<N, C> sum{};
-        // Of larger squares, 16 × 16 samples that are spread evenly.
+        // For larger squares, average 16 × 16 evenly spaced samples.
         const int many = 1 << (k < 4 ? k : 4), apart = (1 << k) / many;
         for (int j = 0; j < many; j++) {
             const T* row = frame + source_at(job, 0, member(y, j * apart + apart / 2, job.h), 0);
@@ -142,12 +142,12 @@ struct Level {
         }
         return sum * (N(1) / (many * many));
     }
-    // The n-th of the samples of one of this level.
+    // The n-th source sample, along an axis, of a sample of this level.
     INLINE int member(int i, int n, int count) const {
         for (int finer = k - 1; finer >= 0; finer--) i = least(2 * i + (n >> finer & 1), side(count, finer) - 1);
         return i;
     }
-    // A call, so that what few pixels need takes no registers of the others.
+    // A function call, so that the few pixels that need it cost the others no registers.
     template <int RANK, int TAPS>
     NOINLINE static Sum<N, C> at_an_edge(Group<T, N, C> group, const T* frame, int k, int x, int y,
                                          Taps<N, RANK, TAPS> taps) {
@@ -179,7 +179,7 @@ struct Level {
     }
 };
 
-// The element of S = MMᵀ, of M in the plane.
+// An element of S = MMᵀ, where M is in the plane.
 template <int D>
 INLINE float square(const Point<D>& p, int i, int j) {
     return p.across[i] * p.across[j] + p.down[i] * p.down[j];
@@ -198,7 +198,7 @@ INLINE auto taps_of(const Point<D>& p) {
     return taps;
 }
 
-// One frame at a point.
+// Sample one frame at a point.
 template <class T, class N, int C, int FILTER, int D>
 INLINE Sum<N, C> in_frame(const Level<T, N, C>& frame, const Point<D>& p, const Print& print) {
     const int x = p.whole[0], y = p.whole[1];
@@ -215,19 +215,19 @@ INLINE Sum<N, C> in_frame(const Level<T, N, C>& frame, const Point<D>& p, const 
     return frame.window(x - taps.before, y - taps.before, taps);
 }
 
-// Frame k of the source, which is there.
+// Frame k of the source, which must be in memory.
 template <class T>
 INLINE const T* frame_at(const Job& job, int k) {
     return (const T*)job.source.first + source_at(job, k - job.held_from, 0, 0);
 }
-// Frame k of the source, or null for the constant.
+// Frame k of the source, or null for the fill value.
 template <class T>
 INLINE const T* frame_of(const Job& job, int k) {
     k = placed(k, job.count, job.rule);
     return k < 0 ? nullptr : frame_at<T>(job, k);
 }
 
-// All frames that a pixel is made of.
+// Sample all frames that a pixel covers.
 template <class T, class N, int C, int FILTER>
 INLINE Sum<N, C> in_time(const Group<T, N, C>& group, const Point<3>& p, const Print& print) {
     const Job& job = group.job;
@@ -247,7 +247,7 @@ INLINE Sum<N, C> in_time(const Group<T, N, C>& group, const Point<3>& p, const P
     } else if (between == BETWEEN_NEAREST)
         add(p.whole[2] + (p.part[2] >= 0.5f), 1);
     else {
-        const int up = p.part[2] >= 1;  // of a place just before a frame
+        const int up = p.part[2] >= 1;  // a time just before a frame, rounded up to it
         const N f = p.part[2] - (float)up;
         const int before = between == BETWEEN_CUBIC, count = 2 + 2 * before;
         for (int k = 0; k < count; k++)
@@ -262,7 +262,7 @@ INLINE T* pixel_of(const Job& job, int plane, int x, int y) {
     return (T*)job.out.first + out_at(job, plane, y - job.from_y, x - job.from_x);
 }
 
-// Paint the pixel (x, y) of a plane, which lies `to` there.
+// Paint the pixel (x, y) of a plane at the address `to`.
 template <class T, class N, int C, int FILTER, int D>
 INLINE void paint(const Job& job, int plane, int x, int y, const Point<D>& p, T* to) {
     const int own = job.first + plane;
@@ -304,7 +304,7 @@ INLINE void paint(const Job& job, int plane, int x, int y, const Point<D>& p, T*
     }
 }
 
-// Paint a pixel if it has no footprint, and all samples around it are there: none of them waits for another.
+// Paint a pixel if it has no footprint, and all its samples are in the frame, so that they load independently.
 template <class T, class N, int C, int FILTER, int D>
 INLINE bool paint_inside(const Job& job, int plane, const Point<D>& p, T* to) {
     if (FILTER == AUTO && shrinks(square(p, 0, 0), square(p, 0, 1), square(p, 1, 1))) return false;
@@ -320,7 +320,7 @@ INLINE bool paint_inside(const Job& job, int plane, const Point<D>& p, T* to) {
         z = p.whole[2];
         if (f >= 1 || z < before * (f != 0) || z + (count - before - 1) * (f != 0) >= job.count) return false;
     }
-    // Negative numbers are large ones.
+    // As unsigned numbers, negative ones are large.
     const unsigned wide = most(job.w - TAPS + 1, 0), tall = most(job.h - TAPS + 1, 0);
     if ((unsigned)x >= wide || (unsigned)y >= tall) return false;
     const T* from = (const T*)job.source.first + source_at(job, z - job.held_from, y, x);
@@ -340,7 +340,7 @@ INLINE bool paint_inside(const Job& job, int plane, const Point<D>& p, T* to) {
 template <int D>
 struct Column {
     int x, state, top, bottom, anchor[D] = {}, face[2];
-    float a[D][4], b[D][4], depth[2];  // of p, and of ∂p/∂s: powers of t
+    float a[D][4], b[D][4], depth[2];  // powers of t of p and ∂p/∂s
 
     INLINE Column(const Job& job, int plane, int x, int j, int k, int64_t cell)
         : x(x),
@@ -369,7 +369,7 @@ struct Column {
             face[d] = on ? last : -1;
         }
     }
-    // Where a pixel is sampled that is moved; with derivatives if they are asked for.
+    // The source point of a moved pixel; with its derivatives, if `derivatives`.
     INLINE Point<D> at(int y, bool derivatives) const {
         const float t = (float)(y - top);
         Point<D> p;
@@ -402,7 +402,7 @@ struct Column {
     }
 };
 
-// Paint some rows of a column: a call, so that its registers are not those of most pixels.
+// Paint some rows of a column. A function call, so that most pixels do not need its registers.
 template <class T, class N, int C, int FILTER, int D>
 NOINLINE void paint_rest(const Job& job, int plane, int x, int j, int k, int64_t cell, int from, int to_row) {
     const Column<D> column(job, plane, x, j, k, cell);
@@ -431,7 +431,7 @@ INLINE void fill_column(const Job& job) {
         if (state == GOOD) {
             const Column<D> column(job, plane, x, j, k, cell);
             T* to = pixel_of<T>(job, plane, x, column.top);
-            from = column.bottom;  // of what is left: from the first to the last row
+            from = column.bottom;  // the range of rows that are left
             end = column.top;
             for (int y = column.top; y < column.bottom; y++, to += (Step)job.out.row) {
                 const Point<D> p = column.at(y, FILTER == AUTO || averages(job));
@@ -444,7 +444,7 @@ INLINE void fill_column(const Job& job) {
     if (from < end) paint_rest<T, N, C, FILTER, D>(job, plane, x, j, k, cell, from, end);
 }
 
-// The pixels of rough cells, one of which is a block's at a time.
+// Paint the pixels of rough cells; each block paints one cell at a time.
 template <class T, class N, int C, int FILTER, int D>
 INLINE void fill_rough(const Job& job) {
     const int wide = job.nx - 1, tall = job.ny - 1;

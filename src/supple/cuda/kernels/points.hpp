@@ -14,7 +14,7 @@ struct Some {
     Told* told;
     int64_t count;
     double tolerance;  // of the residual, in the units of the map
-    int wide, back;    // whether they are of doubles; whether by T⁻¹
+    int wide, back;    // whether points are doubles; whether to apply T⁻¹
 };
 static_assert(sizeof(Some) == SOME_BYTES, "the layout of points");
 
@@ -36,13 +36,13 @@ INLINE void move_point(const Some& job) {
         if (composed(map)) return pass<D>(*map.composite, back, jet);
         Passed<double> passed{true, true, true, 0};
         pass_strokes<D>(map.chain, map.axes, back, jet, passed);
-        passed.done = true;  // of strokes, the residual alone says it
+        passed.done = true;  // for strokes, the residual decides
         return passed;
     };
     const Passed<double> passed = sent(job.back, jet);
     if (job.residual) {
         auto seen = jet_at<D, 0>(jet.x);
-        sent(false, seen);  // what is asked for only of T⁻¹
+        sent(false, seen);  // the residual is only wanted for T⁻¹
         double off2 = 0;
         for (int d = 0; d < D; d++) off2 += (seen.x[d] - q[d]) * (seen.x[d] - q[d]);
         job.residual[i] = root(off2) / finest;
@@ -54,7 +54,7 @@ INLINE void move_point(const Some& job) {
     if (!passed.within) atomicAdd(&job.told->outside, 1);
     for (int d = 0; d < D; d++) {
         job.to[i * D + d] =
-            jet.x[d] == q[d] ? from[d] : jet.x[d] / map.axes[d].spacing;  // what is unmoved keeps its bits
+            jet.x[d] == q[d] ? from[d] : jet.x[d] / map.axes[d].spacing;  // unmoved coordinates keep their bits
         for (int e = 0; job.matrices && e < D; e++)
             job.matrices[(i * D + d) * D + e] = jet.t[e][d] * map.axes[e].spacing / map.axes[d].spacing;
     }

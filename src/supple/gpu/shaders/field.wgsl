@@ -20,8 +20,8 @@ override GRABS: bool = false; // true if all strokes are grabs, one after the ot
 
 struct Stroke {
     pivot: vec3f, terms: f32,
-    rest: vec4f, // of the pivot, and 1/R, which is 0 where the reach is unlimited; with a plateau, 1/g(R)
-    metric: vec4f, // the stretch of the third axis; 1 or 0, if r beside B has that component; a plateau's radius, and rim
+    rest: vec4f, // the rest of the pivot; and 1/R, or 0 without a limit; with a plateau, 1/g(R)
+    metric: vec4f, // the scale of the third axis; 1 if the r beside B has that axis, or 0; a plateau's radius, and rim
     force: vec3f, power: f32, // n
     matrix: mat3x3f,
     radius2: vec4f,
@@ -91,14 +91,14 @@ fn edge(q: f32, w: f32, axis: u32) -> vec3f {
     return vec3f(t * (2.0 + t * t * (t - 2.0)), side * (2.0 + t * t * (4.0 * t - 6.0)), inside);
 }
 
-// sin(x) on [0, π/2] by its Taylor series: not all drivers' is that accurate.
+// sin(x) on [0, π/2] by its Taylor series: the built-in one is less accurate with some drivers.
 fn sine(x: f32) -> f32 {
     let t = x * x;
     let y = 2.7557319e-6 - t * (2.5052108e-8 - t * 1.6059044e-10);
     return x - x * t * (1.6666667e-1 - t * (8.3333333e-3 - t * (1.9841270e-4 - t * y)));
 }
 
-// The sine and the cosine of half an angle; in every other turn, both with the other sign.
+// The sine and the cosine of half an angle, up to a common sign.
 fn half_turn(angle: f32) -> vec2f {
     let turns = round(angle / (4.0 * HALF_PI));
     // π as the sum of two numbers, of which the first times a small whole number is exact.
@@ -139,7 +139,7 @@ fn profile_of(k: u32, d2: f32) -> vec4f {
     return vec4f(m_ * a, m_ * b, m_ * da + dm * a, m_ * db + dm * b);
 }
 
-// From a pivot, in the stroke's metric.
+// The vector from a stroke's pivot to q + w, in the stroke's metric.
 fn from_pivot(k: u32, q: vec3f, w: vec3f) -> vec3f {
     let d = (q - strokes[k].pivot) + (w - strokes[k].rest.xyz);
     return vec3f(d.xy, d.z * strokes[k].metric.x);
@@ -153,7 +153,7 @@ fn eased(flat_: f32, rho: f32) -> vec2f {
     return vec2f(h, (x * (x + flat_) * over * over - h) / (rho * rho));
 }
 
-// A point and its Jacobian after stroke k, too, which acts at `start`, where the strokes that act at once begin.
+// A point and its Jacobian after stroke k, which acts at `start`: the point before the strokes that it is joined to.
 fn moved_by(k: u32, q: vec3f, start: Moved, at: Moved) -> Moved {
     let near = clamped_to_domain(q, start.offset);
     let r = from_pivot(k, q, near);
@@ -186,7 +186,7 @@ fn moved_by(k: u32, q: vec3f, start: Moved, at: Moved) -> Moved {
         v = strokes[k].matrix * d;
     }
     let own_axes = vec3f(1.0, 1.0, metric.y);
-    let e = own_axes * d; // beside B
+    let e = own_axes * d; // the r beside B
     let rv = dot(e, v);
     var g = b * rv * own_axes;
     var moving = a * v + b * rv * e;
@@ -198,7 +198,7 @@ fn moved_by(k: u32, q: vec3f, start: Moved, at: Moved) -> Moved {
         let half = half_turn(a);
         let turn = strokes[k].turn;
         let cross_ = strokes[k].matrix;
-        let rotation = 2.0 * half.x * (half.y * cross_ + half.x * cross_ * cross_); // less I
+        let rotation = 2.0 * half.x * (half.y * cross_ + half.x * cross_ * cross_); // minus I
         moving = turn * (rotation * d);
         let way = da * turn * (v + rotation * v);
         m = mat3x3f(turn * rotation[0] + way * d.x, turn * rotation[1] + way * d.y, turn * rotation[2] + way * d.z);

@@ -1,4 +1,4 @@
-// A deformed volume, filled in bricks: each voxel from the volume at T⁻¹, which is a cubic along rows.
+// A deformed volume, filled in bricks: each voxel is the volume sampled at T⁻¹, which is interpolated along rows.
 
 #use newton solid smooth volume turns
 
@@ -7,8 +7,8 @@ struct Settings {
     strokes: u32,
     nodes: vec3u, // of the lattice of T⁻¹
     spread: f32, // voxels from node to node
-    first: u32, // brick of this dispatch, and their number
-    count: u32,
+    first: u32, // the first brick of this dispatch
+    count: u32, // the number of its bricks
     tolerance: f32, // of source points, in voxels
     turns: u32, // see turns.wgsl
 }
@@ -17,7 +17,7 @@ var<uniform> settings: Settings;
 var<storage, read_write> lost: atomic<u32>; // voxels that could not be solved
 var made: texture_storage_3d<r32float, write>; // the buffer
 
-override POLISHED: bool; // true if each voxel is refined, from its point on the lattice
+override POLISHED: bool; // true if each source point is refined by Newton's method, from that of the lattice
 
 fn source_of(q: vec3f, u: vec3f) -> vec3f {
     let at = q * domain.spacing.xyz;

@@ -1,7 +1,8 @@
-// m(p), what a freeze mask lets through of every stroke's displacement: a cubic B-spline; see _core/freeze.hpp.
+// m(p), the factor of a freeze mask for every stroke's displacement: a cubic B-spline; see _core/freeze.hpp.
 //
-// Each coefficient is a number of 16 bits: m times 255; and above it the calm of the cell from it to the next ones: how
-// many cells it is, at least, to any in which m varies, and 0 for one of these. In a calm cell, m is its coefficient.
+// Each coefficient has 16 bits. The lower 8 are m times 255. The upper 8 are the calm of the cell from it to the next
+// ones: a lower bound, in cells, of the distance to cells in which m varies, and 0 in these. Where it is not 0, m is
+// the coefficient.
 
 var<storage, read> mask: array<u32>;
 
@@ -13,7 +14,7 @@ struct Freed {
     slope: vec3f,
 }
 
-// A cell, and how far a point is through it.
+// A cell, and the position of a point in it, from 0 to 1.
 struct MaskCell {
     at: vec3u,
     part: vec3f,
@@ -23,10 +24,10 @@ fn mask_size() -> vec3u {
     return vec3u(domain.mask_size.xyz);
 }
 
-// Rounding may find the cell beside that of q + w, in which the spline is as good; but its part is exact.
+// Rounding may choose the cell beside that of q + w, whose spline continues there; `part` is accurate in any case.
 fn mask_cell(q: vec3f, w: vec3f) -> MaskCell {
     let u = ((q - domain.mask_first.xyz) + w) * domain.mask_per_step.xyz;
-    // Of an axis with one coefficient, it is the first one.
+    // Along an axis with one coefficient, the cell is the first.
     let i = max(min(max(floor(u), vec3f(1.0)), domain.mask_size.xyz - 3.0), vec3f(0.0));
     let near = (q - i * domain.mask_step.xyz) - domain.mask_first.xyz;
     let rest = w - (i * domain.mask_step_rest.xyz + domain.mask_first_rest.xyz);
@@ -42,7 +43,7 @@ fn mask_in(cell: MaskCell) -> u32 {
     return mask_at((cell.at.z * size.y + cell.at.y) * size.x + cell.at.x);
 }
 
-// The weights of the coefficients around a part of the way from the second to the third, and their derivatives.
+// The weights of four coefficients, at a part t of the way from the second to the third, and their derivatives.
 struct Spline {
     value: vec4f,
     slope: vec4f,
@@ -76,12 +77,12 @@ fn freed(q: vec3f, w: vec3f) -> Freed {
     let x = spline(cell.part.x, size.x, domain.mask_per_step.x);
     let y = spline(cell.part.y, size.y, domain.mask_per_step.y);
     let z = spline(cell.part.z, size.z, domain.mask_per_step.z);
-    // The first of the coefficients around the point, and the number of the others along each axis, which are read.
+    // The first of the coefficients to read, and how many follow it along each axis.
     let first = cell.at - select(vec3u(1u), vec3u(0u), size == vec3u(1u));
     let most = select(vec3u(3u), vec3u(0u), size == vec3u(1u));
     let rows = size.x * min(vec4u(0u, 1u, 2u, 3u), vec4u(most.y));
     var found = vec4f(0.0); // m, and its slopes
-    // A loop for volumes alone: some drivers end those of many turns.
+    // The loop has a single turn for images: some drivers end loops after many turns.
     for (var k = 0u; k <= most.z; k++) {
         let start = ((first.z + k) * size.y + first.y) * size.x + first.x;
         let a = along_row(start + rows.x, most.x, x);
@@ -100,12 +101,12 @@ fn freed(q: vec3f, w: vec3f) -> Freed {
     return Freed(found.x, found.yzw);
 }
 
-// The distance over which m stays as smooth as it is at a point, in physical units.
+// The length scale of m around a point, in physical units.
 fn smoothness_of_mask(q: vec3f, w: vec3f) -> f32 {
     return (4.0 + f32(mask_in(mask_cell(q, w)) >> 8u)) * domain.mask_size.w;
 }
 
-// True if nothing moves at a point, in physical units, and in the cells beside its own.
+// True if m is 0 at a point, given in physical units, and in the cells beside its own.
 fn frozen(q: vec3f) -> bool {
     if (!FROZEN) {
         return false;

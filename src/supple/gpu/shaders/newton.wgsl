@@ -51,7 +51,7 @@ fn newton(first: u32, last: u32, q: vec3f, goal: vec3f, guess: vec3f, tolerance:
                 break;
             }
         } else {
-            // The residual is as small as rounding allows.
+            // Halve the step; end when the residual is as small as rounding allows.
             part *= 0.5;
             if (part * length(step) <= 0.01 * tolerance) {
                 break;
@@ -62,8 +62,8 @@ fn newton(first: u32, last: u32, q: vec3f, goal: vec3f, guess: vec3f, tolerance:
     return best;
 }
 
-// A point sent back by a twist: turned to the other side, which mirrors its way about the plane of the axis and the
-// point. That is T⁻¹ where there is neither a border nor a mask, and a guess otherwise.
+// The point before twist k: q + w turned by the opposite angle, so that its way is mirrored about the plane of the axis
+// and the point. That is T⁻¹ without a border and a mask, and a guess otherwise.
 fn turned_back(k: u32, q: vec3f, w: vec3f) -> vec3f {
     let longer = vec3f(1.0, 1.0, strokes[k].metric.x);
     let v = strokes[k].matrix * from_pivot(k, q, w);

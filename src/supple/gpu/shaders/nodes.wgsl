@@ -14,8 +14,8 @@ struct Settings {
 var<uniform> settings: Settings;
 // The nodes of some layers, in the layout of solid.wgsl, in rows padded to 256 bytes.
 var<storage, read_write> nodes: array<vec4f>;
-// The largest observed error, in voxels, and the length scale of the map: positive numbers, which are ordered like
-// their bits. Errors from LOST on mark unsolved points.
+// The largest observed error, and the least length scale of the map, in voxels: positive floats, which sort like their
+// bits. Errors from LOST on mark unsolved points.
 var<storage, read_write> stats: array<atomic<u32>, 2>;
 
 fn saw(error: f32) {

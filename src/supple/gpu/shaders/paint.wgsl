@@ -3,12 +3,12 @@
 struct Settings {
     background: vec3f, // linear light
     width: u32, // pixels
-    first: u32, // row of them
-    rows: u32,
+    first: u32, // the first row of this dispatch
+    rows: u32, // their number
 }
 
 var<uniform> settings: Settings;
-var<storage, read> seen: array<vec4f>; // for each ray: colour; depth, samples, inversions
+var<storage, read> seen: array<vec4f>; // two for each ray, as raymarch.wgsl writes them
 var<storage, read_write> lost: atomic<u32>; // rays with an unsolved point
 var target_: texture_storage_2d<rgba8unorm, write>;
 

@@ -8,10 +8,10 @@
 struct Settings {
     size: vec2u, // pixels of the window
     nodes: vec2u,
-    origin: vec2f, // the position of the first one, in pixels of the image
-    scale: f32, // pixels of the image from pixel to pixel
-    time: f32, // the frame as a coordinate; 0 where each is a picture
-    frame: f32, // and as what is shown
+    origin: vec2f, // the position of the window's first pixel, in pixels of the image
+    scale: f32, // pixels of the image from one pixel of the window to the next
+    time: f32, // the frame as a coordinate of T; 0 where each frame is a separate picture
+    frame: f32, // the frame to show
     source: vec2u, // pixels of the image
     frames: u32, // of the whole clip
     earliest: u32, // of the frames held
@@ -22,21 +22,21 @@ struct Settings {
     strokes: u32,
     overlay: u32,
     every: f32, // pixels from line to line of a grid
-    corner: vec2f, // of an image that is warped already: the position of the first pixel held, at its size
+    corner: vec2f, // of an image that is warped already: the position of the first pixel held, in pixels as held
     first: vec2u, // the first pixel to draw
     back: vec4f, // behind the image; and the width of the checkerboard squares behind transparent pixels
-    step: f32, // pixels of the image for each pixel held of one that is warped already
+    step: f32, // of an image that is warped already: pixels of the image along the side of a pixel held
 }
 
 var<uniform> settings: Settings;
-var<storage, read_write> nodes: array<vec4f>; // three for each: w, and two columns of ∂p/∂q
+var<storage, read_write> nodes: array<vec4f>; // three for each: (w, residual), (∂p/∂x, steps), (∂p/∂y, 0)
 var<storage, read> pixels: array<u32>; // sRGB and opacity, of 8 bits each
 var laid: texture_2d<f32>; // the pixels held of an image that is warped already
 var target_: texture_storage_2d<rgba8unorm, write>;
 
-// These are constants, as software GPUs run both sides of a branch, and loops of any length as often.
+// These are constants, since software GPUs run both sides of a branch, and all threads as often as the longest loop.
 override BENT: bool = true; // true if there are strokes
-override DRAGGED: bool = false; // true if one sample for each pixel will do, and T⁻¹ between nodes
+override DRAGGED: bool = false; // true if one sample for each pixel will do, with T⁻¹ interpolated between nodes
 override LAID: bool = false; // true if the image is warped already, and strokes are for the overlay
 
 const GRID = 1u;
@@ -177,7 +177,7 @@ fn paint(@builtin(global_invocation_id) thread: vec3u) {
     let covers = max(length(right), length(below));
     let levels = log2(max(covers, 1e-6)) - select(1.0, 0.5, DRAGGED);
     let level = u32(clamp(ceil(levels - 0.5), 0.0, f32(settings.levels - 1u)));
-    // Where it is sampled, and in how many pixels: of an image that is warped already, those of the window.
+    // The footprint to sample, and its size in samples: for an image that is warped already, a pixel of the window.
     let middle = select(p, q, LAID);
     let across = select(right, vec2f(settings.scale, 0.0), LAID);
     let down = select(below, vec2f(0.0, settings.scale), LAID);
@@ -201,7 +201,7 @@ fn paint(@builtin(global_invocation_id) thread: vec3u) {
     } else if (settings.overlay == STRETCH) {
         let area = abs(seen.right.x * seen.below.y - seen.right.y * seen.below.x);
         let larger = clamp(-0.5 * log2(max(area, 1e-6)), -0.5, 0.5);
-        // What keeps its size keeps its colour; a root, so that a tenth more is seen, too.
+        // Areas that keep their size keep their colour; the root makes a change of a tenth visible.
         shown = mix(shown, warm(0.5 + sign(larger) * 0.5), 0.7 * sqrt(2.0 * abs(larger)));
     } else if (settings.overlay == RESIDUAL) {
         shown = mix(shown, warm(1.0 + log2(max(seen.residual / finest(), 1e-9)) / 16.0), 0.6);

@@ -8,8 +8,8 @@ struct Settings {
     nodes: vec3u, // of the lattice of T⁻¹
     spread: f32, // voxels from node to node
     bricks: vec3u, // of the map of empty space
-    first: u32, // of the rows in this dispatch
-    picture: vec2u,
+    first: u32, // the first row of rays in this dispatch
+    picture: vec2u, // columns and rows of rays
     threshold: f32, // the visible range of values
     top: f32,
     eye: vec3f, // in voxels
@@ -17,10 +17,10 @@ struct Settings {
     right: vec3f,
     below: vec3f,
     light: vec3f, // its direction
-    box_first: vec3f, // the corners of the box that is seen, in voxels
+    box_first: vec3f, // the corners of the rendered box, in voxels
     box_last: vec3f,
-    plane: vec4f, // what lies beyond it is cut away: its normal, and its distance from the first voxel
-    first_node: vec3f, // the node of the light that arrives at a voxel: first_node + per_node voxel
+    plane: vec4f, // of the cut: the unit normal towards the part cut away, and the distance from the first voxel, in mm
+    first_node: vec3f, // the position of a voxel among the nodes of the light: first_node + per_node * voxel
     per_node: vec3f,
     step: f32, // millimetres from sample to sample
     low: f32, // the value of the transfer function's first entry, and entries for each unit of value
@@ -32,15 +32,16 @@ struct Settings {
     stretch: u32, // samples that share one read of the lattice
     turns: u32, // see turns.wgsl
     projection: u32,
-    silhouettes: f32, // by how much surfaces darken that are seen from the side
-    shadows: u32, // true if not all light arrives
+    silhouettes: f32, // how much surfaces that are seen edge-on darken
+    shadows: u32, // true if there are shadows: `arrives`
     ends: u32, // true if there are meshes
 }
 
 var<uniform> settings: Settings;
 var skips: texture_3d<u32>;
 var colours: texture_3d<f32>; // the transfer function, and its sums before each entry
-var<storage, read_write> seen: array<vec4f>; // for each ray: colour; depth, samples, inversions
+// Two for each ray: light and opacity; the depths of the first surface and of opacity 0.9, samples and inversions.
+var<storage, read_write> seen: array<vec4f>;
 var paint: texture_3d<f32>; // colours of voxels, sRGB and opacity
 var arrives: texture_3d<f32>; // the part of the light that arrives at nodes
 var<storage, read> ends: array<vec4f>; // the meshes that rays end at: colour, and distance
@@ -52,7 +53,7 @@ const BRICK = 4u;
 const BISECTIONS = 2u;
 const HALVINGS = 6u; // of labels
 const OPAQUE = 0.995;
-const LAYER = 4.0; // voxels behind a cut face over which the light of gradients takes over
+const LAYER = 4.0; // voxels behind a cut face over which lighting by gradients replaces that of the face
 const MAXIMUM = 1u; // projections
 const AVERAGE = 3u;
 const AMBIENT = 0.15;
@@ -65,8 +66,8 @@ var<private> lost: bool = false; // true if a point could not be solved
 // The source of a point, in voxels.
 struct Place {
     p: vec3f,
-    shift: vec3f, // of an exact one, the guess of the next one
-    matrix: mat3x3f, // ∂p/∂q, in physical units, of an exact one
+    shift: vec3f, // with EXACT, its offset in physical units: the guess for the next sample
+    matrix: mat3x3f, // with EXACT, ∂p/∂q in physical units
 }
 
 fn solved(q: vec3f, near: vec3f) -> Place {
@@ -96,7 +97,7 @@ struct Stretch {
 
 var<private> stretch: Stretch;
 
-// Start the stretch some steps from the ray's start.
+// Start a stretch at the ray's current step; `going_on` if it may continue the last one.
 fn begin(ray: Ray, going_on: bool) {
     if (MODE == PLAIN || MODE == EXACT) {
         return;
@@ -108,7 +109,7 @@ fn begin(ray: Ray, going_on: bool) {
     let length_ = max(min(stretch.start + whole, ray.far) - stretch.start, 1e-3 * whole);
     stretch.over = 1.0 / length_;
     stretch.from_ = stretch.to;
-    // Its end, and its start unless it is known: a loop, since some devices run both sides of a branch.
+    // Its end, and its start unless that is the last one's end: a loop, since some devices run both sides of a branch.
     let ends = select(2u, 1u, going_on && stretch.start == wanted);
     for (var k = 0u; k < ends; k++) {
         let here = between(ray.o + (stretch.start + select(length_, 0.0, k == 1u)) * ray.d);
@@ -174,7 +175,7 @@ fn gradient_at(place: Place, t: f32) -> vec3f {
     return g * (stretch.from_.matrix + s * (stretch.to.matrix - stretch.from_.matrix)) / domain.spacing.xyz;
 }
 
-// The side of the visible range on which a value is.
+// -1 for a value below the visible range, 0 within it, 1 above.
 fn side(value: f32) -> i32 {
     return select(select(0, 1, value > settings.top), -1, value < settings.threshold);
 }
@@ -192,14 +193,14 @@ fn entry_of(value: f32) -> f32 {
     return clamp((value - settings.low) * settings.scale, 0.0, f32(settings.entries - 1u));
 }
 
-// The sums of extinction times colour, and of extinction, of all before a place in the transfer function.
+// The sums of extinction times colour, and of extinction, of all entries before a place in the transfer function.
 fn sums_before(entry: f32) -> vec4f {
     let at = entry + 0.5;
     let k = min(u32(at), settings.entries - 1u);
     return mix(table_at(k, 1u), table_at(k + 1u, 1u), at - f32(k));
 }
 
-// A step along which values are linear: its colour and opacity, and where the middle of what is visible is.
+// A step along which values are linear: its colour and opacity, and the middle of its visible part, from 0 to 1.
 struct Seen {
     colour: vec4f,
     middle: f32,
@@ -234,7 +235,7 @@ fn between_values(a: f32, b: f32, part: f32) -> Seen {
     return Seen(vec4f(all.xyz / all.w, 1.0 - exp(-all.w)), middle);
 }
 
-// Of labels, which are not mixed: half of one before half of the other.
+// A step between two labels, which are not mixed: half of the first, then half of the second.
 fn halves(a: f32, b: f32, part: f32) -> Seen {
     let one = colour_of(a);
     let other = colour_of(b);
@@ -254,7 +255,7 @@ fn end_of(ray: u32) -> vec4f {
     return end;
 }
 
-// What is seen of the volume, before a mesh.
+// The light of the volume composited over a mesh.
 fn over_mesh(end: vec4f, total: vec4f) -> vec4f {
     return select(total, total + (1.0 - total.w) * vec4f(end.xyz, 1.0), end.w < FAR);
 }
@@ -300,7 +301,7 @@ fn march(@builtin(global_invocation_id) id: vec3u) {
     var taken = 0.0;
     var shift = vec3f(0.0);
     var surface = FAR;
-    // The cosine of the lamp's angle to the cut face, as long as the volume is seen from there on.
+    // The cosine of the lamp's angle to the cut face, while the volume is visible from that face on; then -1.
     var face = -1.0;
     for (var i = 0u; i < 3u && near > 0.0; i++) {
         face = select(face, abs(settings.light[i]), enters[i] == near);
@@ -328,7 +329,7 @@ fn march(@builtin(global_invocation_id) id: vec3u) {
                 hopped = true;
             }
             if (hopped) {
-                // The step before lies partly in a visible brick.
+                // Go back a step, which lies partly in the visible brick.
                 ray.count = max(ray.count - 1.0, 0.0);
                 t = ray.start + ray.count * settings.step;
                 going_on = false;
@@ -379,7 +380,7 @@ fn march(@builtin(global_invocation_id) id: vec3u) {
                             beyond = there;
                         }
                     }
-                    // By a straight line to the end of the visible range.
+                    // Linear interpolation to the end of the visible range.
                     let end = select(settings.top, settings.threshold, outer < 0);
                     surface = select(low + (high - low) * ((end - before) / (beyond - before)), high, LABELLED);
                     before = select(end, beyond, LABELLED);
@@ -471,7 +472,7 @@ fn project(whole: Ray, k: u32) {
         total = colour_of(value);
     }
     let end = end_of(k / 2u);
-    if (end.w < FAR) { // the volume is nowhere along the ray
+    if (end.w < FAR) { // a projection has no depth, so meshes are in front of it
         total = vec4f(end.xyz, 1.0);
         surface = end.w;
     }
@@ -479,7 +480,7 @@ fn project(whole: Ray, k: u32) {
     seen[k + 1u] = vec4f(surface, at, count, select(inversions, -1.0, lost || cut_short()));
 }
 
-// The colour at a point, with the opacity of the transfer function's: see Coloured in _core/voxels.hpp.
+// The voxels' own colour at a point, if they have one, with the opacity of `colour`: see Coloured in _core/voxels.hpp.
 fn painted(p: vec3f, colour: vec4f) -> vec4f {
     if (!COLOURED) {
         return colour;

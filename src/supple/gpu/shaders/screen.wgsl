@@ -1,10 +1,10 @@
 // Composition on the screen: two textures of any size side by side, divided at the split.
 
 struct Settings {
-    sides: vec4f, // of the visible part of the textures: from one end to the other of the screen, across and down
-    depth: vec3f, // what is divided by: in that corner, and its changes across and down
+    sides: vec4f, // the sides of the visible part of the textures, across and down the screen
+    depth: vec3f, // the divisor, for perspective: at the upper left of the screen, and its changes across and down
     linear: u32, // true if the screen takes linear light
-    corner: vec2f, // and its upper left corner on the screen
+    corner: vec2f, // the corner of the visible part at the upper left of the screen
     split: f32, // the right edge of the second texture, from 0 to 1
 }
 

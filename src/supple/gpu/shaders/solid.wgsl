@@ -1,8 +1,8 @@
 // T⁻¹ in a volume: solved at the nodes of a cubic lattice, and interpolated in between.
 //
 // A node is four vectors: the displacement u in voxels, and the columns of ∂p/∂q. So only the nodes of a cell are read,
-// and the error falls with the cube of its size at least. They lie two by two: no side of a
-// texture is much longer than there are nodes along it.
+// and the error falls at least with the cube of its size. The vectors lie two by two in the texture, so that none of
+// its sides is more than twice as long as there are nodes along it.
 
 #use blend
 

@@ -13,7 +13,7 @@ fn voxel_of(i: vec3u) -> f32 {
     return f32(textureLoad(voxels, i, 0).x);
 }
 
-// The voxels around a point of the box, from the first one, and how far the point is from that.
+// The first of the eight voxels around a point of the box, and the point's offset from it, from 0 to 1.
 struct Cell {
     first: vec3u,
     part: vec3f,
@@ -57,19 +57,19 @@ fn sample_at(p: vec3f) -> f32 {
     return mix(near, far, f.z);
 }
 
-// A cubic B-spline at four voxels around a point, a part of the way from the second to the third.
+// The weights of a cubic B-spline for the four voxels around a point, a part t of the way from the second to the third.
 fn spline_weights(t: f32) -> array<f32, 4> {
     let s = 1.0 - t;
     return array(s * s * s / 6.0, (4.0 - 6.0 * t * t + 3.0 * t * t * t) / 6.0,
         (4.0 - 6.0 * s * s + 3.0 * s * s * s) / 6.0, t * t * t / 6.0);
 }
 
-// Its slope: differences come before weights, so that it is exactly 0 if all voxels are equal.
+// Its derivative: differences are taken before weights, so that it is exactly 0 if all voxels are equal.
 fn change(t: f32, a: f32, b: f32, c: f32, d: f32) -> f32 {
     return (0.5 * (1.0 - t) * (1.0 - t)) * (b - a) + (0.5 + t - t * t) * (c - b) + (0.5 * t * t) * (d - c);
 }
 
-// The gradient of a cubic B-spline, for each voxel, whose coefficients are the voxels: it reads 64 of them.
+// The gradient, per voxel, of the cubic B-spline whose coefficients are the voxels: it reads 64 of them.
 fn slopes_at(p: vec3f) -> vec3f {
     if (LABELLED) {
         return label_slopes_at(p);
@@ -100,7 +100,7 @@ fn slopes_at(p: vec3f) -> vec3f {
     return sum;
 }
 
-// The sample of a copy of the volume: labels are those of the nearest voxel, as `supple warp --labels` has it.
+// The sample for a deformed copy of the volume: labels are the nearest voxel's, as with `supple warp --labels`.
 fn copied_at(p: vec3f) -> f32 {
     if (LABELLED) {
         return voxel_of(vec3u(clamp(p + 0.5, vec3f(0.0), vec3f(settings.size - 1u))));
@@ -140,7 +140,7 @@ fn label_at(p: vec3f) -> f32 {
     return label;
 }
 
-const SPLINE = 6u; // voxels that a spline reaches
+const SPLINE = 6u; // voxels along an axis that the spline of labels reads
 
 // A cubic B-spline at x, and its slope.
 fn bspline(x: f32) -> vec2f {
@@ -150,7 +150,7 @@ fn bspline(x: f32) -> vec2f {
     return select(vec2f(rest * rest * rest / 6.0, -0.5 * sign(x) * rest * rest), inner, away < 1.0);
 }
 
-// The gradient of how far the label at a point reaches, for each voxel: it reads 224 voxels.
+// The gradient, per voxel, of the smoothed indicator of the label at a point: it reads 224 voxels.
 fn label_slopes_at(p: vec3f) -> vec3f {
     let own = label_at(p);
     let kept = clamp(p, vec3f(0.0), vec3f(settings.size - 1u));

@@ -101,13 +101,13 @@ class Picture:
         averaged: bool = True,
         name: str = "",
     ) -> Picture:
-        """Return a picture with new pixels, which `supple.Deformation.warp` returns of this one.
+        """Return a picture with new pixels, which ``warp`` computes from those of this one.
 
-        ``warp`` returns new samples for those of shape (H, W[, C]), or (pages, H, W[, C]) of several pages, of which
-        the last channel is opacity or not; its third argument is which channels of the picture they are. With
-        ``regridded``, the new grid is another one, for which a georeference does not hold: it is left out, with a
-        MetadataWarning. With ``averaged``, samples are averages of several: where one of these has no value (NaN,
-        infinite, or marked as no data, of which a GapWarning tells), the average has none.
+        ``warp(samples, opacity, channels)`` returns new samples. Those given have shape (H, W[, C]), or (pages, H, W[,
+        C]) for several pages; ``opacity`` is true if the last channel is opacity, and ``channels`` are the indices in
+        the picture. ``regridded`` means that the grid changes: a georeference is dropped, with a MetadataWarning. With
+        ``averaged``, new samples are averages of several, and have no value where one of these has none (NaN, infinite,
+        or marked as no data); a GapWarning reports it.
         """
         name, tiff, pixels = name or "the picture", self._header.get("tiff"), self.pixels
         if self.pages > 1:
@@ -127,7 +127,7 @@ class Picture:
             warnings.warn(text, GapWarning, stacklevel=caller())
         extra = self.meanings
         channels = list(range(self.pixels.shape[2] if self.pixels.ndim == 3 else 1))
-        if len(extra) > 1 and 2 in extra:  # opacity weights colours, but no data
+        if len(extra) > 1 and 2 in extra:  # opacity weights colours, but not channels of data
             colours = len(channels) - len(extra)
             seen = [*range(colours), colours + extra.index(2)]
             rest = [k for k in channels if k not in seen]
@@ -150,12 +150,12 @@ class Picture:
 
     @property
     def meanings(self) -> tuple[int, ...]:
-        """`extra`, also where `alpha` alone says it."""
+        """The value of `extra`, or the equivalent of `alpha` if that is empty."""
         return self.extra or ((2,) if self.alpha else ())
 
     @property
     def layers(self) -> exr.Exr | None:
-        """The channels and the windows of an OpenEXR."""
+        """The channels and the windows of an OpenEXR; None for other formats."""
         return self._header.get("exr")
 
 
@@ -243,14 +243,14 @@ def with_opacity(picture: Picture, target: PathLike) -> Picture:
 
 
 def warn_of_exact(held: exr.Exr) -> None:
-    """Say which channels of an OpenEXR are not filtered."""
+    """Warn of the channels of an OpenEXR that are not filtered."""
     if held.exact:
         text = f"channels take the nearest pixel's values where averages would mean nothing: {held.exact}"
         warnings.warn(text, LayerWarning, stacklevel=3)
 
 
 def of_layers(held: exr.Exr) -> Picture:
-    """Return an OpenEXR as a picture, whose header has all that `write` keeps of it."""
+    """Return an OpenEXR as a picture; its header holds the layers, which `write` keeps."""
     pixels, image = held.arrays[0], of_exr(held)
     flat = pixels[..., 0] if pixels.shape[2] == 1 else pixels
     return Picture(
@@ -274,7 +274,7 @@ def _decoded(path: PathLike, image: Any, form: str, orientation: int) -> formats
 
 
 def _all_pages(path: PathLike, count: int) -> formats.Array | None:
-    """Decode all pages of a TIFF into one array, one below the other; None if they differ, also in what they mean."""
+    """Decode all pages of a TIFF into one array, one below the other; None if sizes, types or meanings differ."""
     tall: formats.Array | None = None
     kinds = set()
     with reading(path):
@@ -469,7 +469,7 @@ def write(
         return
     options = formats.settings(form, array, bits, quality, lossless)
     if not image.get_typeof("exif-data") and not (sized and form in (pictures.WEBP, pictures.AVIF)):
-        options["keep"] = NO_EXIF  # which libvips would add; these two have no other place for a resolution
+        options["keep"] = NO_EXIF  # libvips would add EXIF; WebP and AVIF store a resolution only there
     if known_as == form.name:
         saved = saved if quality is None else {key: value for key, value in saved.items() if key == "interlace"}
         options |= saved

@@ -15,9 +15,9 @@ from supple.media.image.tiff import CIELAB
 def in_srgb(picture: Picture) -> Picture:
     """Return a picture in grey or RGB, through its profile if it has one, without channels of data.
 
-    CMYK and Lab, which have no other way, become RGB of 8 bits, CMYK without a profile by a usual one; and so does what
-    has a profile. Other floats and integers stay as they are. `pixels` have shape (H, W, 1 to 4), and the last channel
-    is opacity, not multiplied, if `alpha` is true.
+    CMYK, Lab and pixels with a profile become RGB of 8 bits; CMYK without a profile is converted by a default one.
+    Other floats and integers stay as they are. `pixels` have shape (H, W, 1 to 4); if `alpha` is true, the last channel
+    is opacity, by which colours are not multiplied.
     """
     pixels = np.atleast_3d(picture.pixels)
     extra = picture.meanings
@@ -46,12 +46,12 @@ def _converted(colours: Array, picture: Picture) -> Array:
     kind, dtype = picture.interpretation, colours.dtype
     if kind == "lab" and colours.shape[2] == 3:
         values = colours.astype(np.float32)
-        if dtype.kind == "u":  # as ICC encodes them; TIFF's a* and b* of 16 bits have 256 steps for each whole number
+        if dtype.kind == "u":  # ICC's encoding; in TIFFs of 16 bits, a* and b* have 256 steps a unit
             tiff = picture._header.get("tiff")
             step = 1 if dtype.itemsize == 1 else 256 if tiff is not None and tiff.photometric == CIELAB else 257
             values[..., 0] *= 100 / white_of(dtype)
             values[..., 1:] = values[..., 1:] / step - 128
-        elif dtype == np.int16:  # as libvips writes 16 bits: L* by its bits without a sign, a* and b* with one
+        elif dtype == np.int16:  # libvips' encoding of 16 bits: L* is unsigned, a* and b* are signed
             values[..., 0] = colours[..., 0].view(np.uint16) * np.float32(100 / 65535)
             values[..., 1:] /= 256
         seen = wrapped(values, "lab", 32).colourspace("srgb")
@@ -61,7 +61,7 @@ def _converted(colours: Array, picture: Picture) -> Array:
         image = wrapped(colours, meant(dtype, colours.shape[2], kind), 16)
         if picture.icc:
             image.set_type(pyvips.GValue.blob_type, "icc-profile-data", picture.icc)
-        try:  # libvips takes the usual profile of CMYK where there is none, or an invalid one
+        try:  # libvips uses its default CMYK profile if there is none, or an invalid one
             usual = {"input_profile": "cmyk"} if kind == "cmyk" else {}
             seen = image.icc_transform("srgb", embedded=True, **usual)
             seen = seen.extract_band(0, n=min(seen.bands, 3))

@@ -1,4 +1,4 @@
-"""The header of DPX files: FFmpeg reads and writes their pixels, and nothing of it."""
+"""The header of DPX files, of which FFmpeg reads and writes only the pixels."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ _RGB = (6, 50, 51)  # the descriptors of luminance, RGB and RGBA
 
 
 def header_of(path: PathLike) -> bytes:
-    """Return the header; SuppleError for samples that FFmpeg does not read, or of which it reads a part."""
+    """Return the header; SuppleError for samples that FFmpeg does not read, or reads only in part."""
     with open(path, "rb") as file:
         head = file.read(SIZE)
     if len(head) < SIZE:
@@ -34,10 +34,11 @@ def _order(head: bytes) -> str:
 
 
 def dressed(data: bytes, head: bytes, path: PathLike) -> bytes:
-    """Return an encoded file with the header of another one, but for how its pixels are stored.
+    """Return an encoded file ``data`` with the header ``head`` of another file.
 
-    Samples of more than 8 bits are of that one's byte order. The transfer curve and the colorimetry are that one's,
-    too; with as many bits, so are black and white. Without a header, FFmpeg's is kept, but for its curve, linear.
+    The fields that describe the storage of pixels are those of ``data``; so are black and white, if the bit depths
+    differ. Samples of more than 8 bits must be in the byte order of ``head``. If ``head`` is empty, FFmpeg's header is
+    kept, but its transfer curve (linear) becomes undefined.
     """
     if not head:
         return data[:801] + bytes(2) + data[803:]

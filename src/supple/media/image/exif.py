@@ -1,7 +1,7 @@
 """EXIF in TIFF, which libvips neither reads nor writes: converted from and to the block of other formats.
 
 Both are folders of tags. Folders are read as far as they are valid, and laid out anew, which keeps the valid parts of
-damaged ones. Only wanted tags are read, and no more than `_ROOM` of them.
+damaged ones. Only wanted tags are read, and no more than `_ROOM` bytes of them.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ _SOUGHT = {269, 270, 271, 272, 305, 306, 315, 316, 18246, 18249, 33432, *range(4
 _MOST = 4096  # entries of a folder
 _ROOM = 2**24  # bytes in all
 _PREFIX = b"Exif\0\0"
-SHAPED = b'{"shape": '  # tifffile's description of an array, which may become one of another shape
-# for each type of value its bytes, and those that the byte order swaps
+SHAPED = b'{"shape": '  # tifffile's description of an array: dropped, as the shape may change
+# by type of value: its size in bytes, and the size of the units whose bytes are swapped
 _SIZES = {1: 1, 2: 1, 3: 2, 4: 4, 5: 8, 6: 1, 7: 1, 8: 2, 9: 4, 10: 8, 11: 4, 12: 8, 129: 1}
 _TURNED = {**_SIZES, 5: 4, 10: 4}
 _LONG8 = 16
@@ -67,7 +67,7 @@ class _Form:
         return number.to_bytes(size, self.order)
 
     def swapped(self, kind: int, data: bytes) -> bytes:
-        """Return values of a type in little-endian order, or from it in that of the file."""
+        """Swap values of a type from the file's byte order to little-endian order, or back."""
         return data if self.order == "little" else np.frombuffer(data, f"u{_TURNED[kind]}").byteswap().tobytes()
 
 
@@ -125,7 +125,7 @@ class Reader:
         return found
 
     def value(self, entry: bytes) -> Value | None:
-        """Return the value of an entry, in it or at its offset, if it is complete."""
+        """Return the value of an entry, which is in it or at its offset; None if it is incomplete."""
         form = self.form
         kind, count = form.number(entry[2:4]), form.number(entry[4 : -form.word])
         size = _SIZES.get(kind, _ROOM + 1) * count
@@ -140,7 +140,7 @@ class Reader:
         return Value(2 if kind == 129 else kind, form.swapped(kind, data))
 
     def integer(self, entry: bytes) -> int:
-        """Return the integer that an entry holds itself; 0 for other types."""
+        """Return the integer stored in an entry; 0 for other types."""
         size = {1: 1, 3: 2, 4: 4, 13: 4, 16: 8, 18: 8}.get(self.form.number(entry[2:4]), 0)
         return self.form.number(entry[-self.form.word :][:size])
 
@@ -159,7 +159,7 @@ def is_whole(block: bytes) -> bool:
 
 
 def fitted(block: bytes, most: int) -> bytes:
-    """Return an EXIF block without its largest values, such that it fits ``most`` bytes."""
+    """Return an EXIF block of at most ``most`` bytes: the largest values are dropped until it fits."""
     found, form, _ = _parsed(block)
     folders = [found, *(item for item in found.values() if isinstance(item, dict))]
     while len(block) > most:
@@ -172,7 +172,7 @@ def fitted(block: bytes, most: int) -> bytes:
 
 
 def for_tiff(block: bytes, width: int, height: int) -> Folder:
-    """Return the tags of an EXIF block, with the size of its image; none of an empty one."""
+    """Return the tags of an EXIF block, with the size of its image; no tags for an empty block."""
     found = _parsed(block)[0]
     inner = found.get(_EXIF)
     if isinstance(inner, dict):
@@ -185,8 +185,8 @@ def for_tiff(block: bytes, width: int, height: int) -> Folder:
 def into_tiff(path: PathLike, added: Folder, changed: Folder, dropped: Collection[int] = ()) -> None:
     """Lay the folders of a TIFF's pages out anew, at its end.
 
-    ``added`` are tags for the first page, unless it has them; ``changed`` are new values for every page, which loses
-    ``dropped``.
+    ``added`` are tags for the first page, unless it has them; ``changed`` are new values for every page; the tags
+    ``dropped`` are removed from every page.
     """
     if not added and not changed and not dropped:
         return

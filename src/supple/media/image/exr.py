@@ -93,7 +93,7 @@ class Exr:
         return tuple(sum(channel.planes for channel in channels) for _, channels in self.groups)
 
     def lost(self, *, exr: bool) -> list[str]:
-        """Return what a file does not take over of it, in words: an OpenEXR, or one of another format."""
+        """Return, in words, the parts that are lost when it is written as an OpenEXR, or else in another format."""
         parts: dict[str, Sequence[str]] = {"channel": self.left}
         if not exr:
             parts["channel"] = self.left or self._others
@@ -119,7 +119,7 @@ class Exr:
         return replace(self, box=self.display, groups=self.groups[:1], arrays=(pixels,), left=self._others)
 
     def sized(self, shape: tuple[int, int]) -> Exr:
-        """Return it with windows of another size, which all begin at (0, 0)."""
+        """Return a copy whose windows all have one size (H, W), and begin at (0, 0)."""
         box = (0, 0, shape[1], shape[0])
         return replace(self, box=box, display=box, windows=(box,) * len(self.windows))
 
@@ -129,7 +129,7 @@ def _shape(box: Box) -> tuple[int, int]:
 
 
 def around(boxes: Sequence[Box]) -> Box:
-    """Return the smallest box around some."""
+    """Return the bounding box of several boxes."""
     x0, y0, x1, y1 = zip(*boxes, strict=True)
     return min(x0), min(y0), max(x1), max(y1)
 
@@ -141,7 +141,7 @@ def _common(one: Box, other: Box) -> Box | None:
 
 
 def _over(array: Array, box: Box, target: Box) -> Array:
-    """Return an array that covers ``box`` over another box, with zeros where there was nothing."""
+    """Return an array that covers ``box`` cropped, or padded by zeros, to the box ``target``."""
     if box == target:
         return array
     made = np.zeros((*_shape(target), *array.shape[2:]), array.dtype)
@@ -163,7 +163,7 @@ def imported() -> Any:
 
 @contextlib.contextmanager
 def opened(path: PathLike, *, header_only: bool = False) -> Iterator[Any]:
-    """Open an OpenEXR that is not deep: its parts, with separate channels; errors are one sentence."""
+    """Open an OpenEXR, with separate channels; SuppleError for deep data and subsampled channels."""
     if not head_of(path, 4).startswith(EXR_MAGIC):
         raise unreadable(path, "it does not begin as an EXR does", "give the name of an EXR")
     with _file(path, header_only) as file:
@@ -178,12 +178,12 @@ def opened(path: PathLike, *, header_only: bool = False) -> Iterator[Any]:
 
 
 def _file(path: PathLike, header_only: bool) -> Any:
-    """Open an OpenEXR, without what the package writes of a damaged one."""
+    """Open an OpenEXR; messages that the package prints about damaged files are suppressed."""
     from supple.media.volume.itk import silence
 
     module, said = imported(), io.StringIO()
     try:
-        # to both streams; what other threads write is passed on
+        # printed to both streams; the output of other threads is passed on
         with silence(r".*\(EXR_ERR"), contextlib.redirect_stdout(said):
             file = module.File(os.fspath(path), separate_channels=True, header_only=header_only)
     except (RuntimeError, ValueError, TypeError, MemoryError) as error:
@@ -202,7 +202,7 @@ def _box(window: Any) -> Box:
 
 
 def head_only(path: PathLike) -> tuple[Exr, tuple[tuple[int, str], ...]]:
-    """Return an OpenEXR without channels, and the part and the name of each that it has."""
+    """Return an OpenEXR without its channels, and the part and the name of each channel."""
     with opened(path, header_only=True) as file:
         headers = tuple(dict(part.header) for part in file.parts)
     names = tuple((k, each.name) for k, header in enumerate(headers) for each in header["channels"])
@@ -212,7 +212,7 @@ def head_only(path: PathLike) -> tuple[Exr, tuple[tuple[int, str], ...]]:
 def _of_headers(headers: tuple[dict[str, Any], ...]) -> Exr:
     windows, display = tuple(_box(header["dataWindow"]) for header in headers), _box(headers[0]["displayWindow"])
     for header in headers:
-        header.pop("preview", None)  # of the old pixels
+        header.pop("preview", None)  # it shows the old pixels
     return Exr(headers, windows, display, around([display, *windows]), ())
 
 
@@ -231,7 +231,7 @@ def read(path: PathLike, box: Box | None = None) -> Exr:
     arrays = []
     for _, channels in groups:
         each: list[Array] = []
-        for c in channels:  # float32 holds any 16 bits of an integer
+        for c in channels:  # float32 represents 16-bit integers exactly
             parts = [planes[c] >> 16, planes[c] & 0xFFFF] if c.planes == 2 else [planes[c]]
             each += [_over(part.astype(np.float32), made.windows[c.part], box) for part in parts]
         arrays.append(np.stack(each, axis=-1))
@@ -247,7 +247,7 @@ def _layer(channel: Channel) -> tuple[str, str]:
 def _grouped(
     path: PathLike, channels: list[Channel], headers: Sequence[Mapping[str, Any]]
 ) -> tuple[tuple[bool, tuple[Channel, ...]], ...]:
-    """Return the channels of the picture itself, those that are filtered like it, and those that are exact."""
+    """Return three groups: the picture's own channels, others that are filtered, and exact ones."""
     mattes = tuple(
         value
         for header in headers
@@ -306,7 +306,7 @@ def with_pixels(like: Exr | None, pixels: Array, *, half: bool) -> Exr:
 
 
 def write(path: PathLike, name: PathLike, exr: Exr) -> None:
-    """Write an OpenEXR to ``path``, as it was, and with data windows that hold what has moved out of them.
+    """Write an OpenEXR to ``path``, with its attributes, and data windows enlarged to hold pixels that moved out.
 
     ``name`` is the name for messages.
     """

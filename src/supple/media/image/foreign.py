@@ -35,7 +35,7 @@ def opened(path: PathLike, kind: str) -> Any:
         "PSD": ("psd_tools", _psd), "camera raw": ("rawpy", _raw), "HEIF": ("pillow_heif", _heif)
     }[kind]  # fmt: skip
     need("formats", f"{kind} pictures", module)
-    # of any kind: these libraries raise many
+    # Exception, as these libraries raise many types
     with refusing(lambda error: unreadable(path, f"{module} fails on it ({_line(error)})", _GIVE), Exception):
         pixels, bits, meaning, alpha, known = decode(path)
     image = of_pixels(pixels, bits, alpha, meaning)
@@ -52,7 +52,7 @@ def _line(error: Exception) -> str:
 def _heif(path: PathLike) -> tuple[Array, int, str, bool, dict[str, Any]]:
     import pillow_heif
 
-    held = pillow_heif.open_heif(path, convert_hdr_to_8bit=False)  # it turns the picture as the file says
+    held = pillow_heif.open_heif(path, convert_hdr_to_8bit=False)  # applies the orientation in the file
     pixels, bits = np.asarray(held), int(held.info.get("bit_depth", 8))
     names = {"icc-profile-data": "icc_profile", "exif-data": "exif", "xmp-data": "xmp"}
     return pixels, bits, "", held.has_alpha, {name: held.info.get(key) for name, key in names.items()}
@@ -70,7 +70,7 @@ def _psd(path: PathLike) -> tuple[Array, int, str, bool, dict[str, Any]]:
         raise unreadable(path, what, "save it with Maximize Compatibility, or as TIFF")
     colours, seen = file.numpy("color"), file.numpy("shape")
     if _PSD[mode] == "cmyk":
-        colours = 1 - colours  # which Photoshop stores as what is left white
+        colours = 1 - colours  # Photoshop stores CMYK inverted
     alpha = seen is not None and bool((seen < 1).any())
     pixels = np.concatenate([colours, seen], axis=2) if alpha else colours
     if file.depth < 32:
@@ -86,7 +86,7 @@ def _psd(path: PathLike) -> tuple[Array, int, str, bool, dict[str, Any]]:
 def _raw(path: PathLike) -> tuple[Array, int, str, bool, dict[str, Any]]:
     import rawpy
 
-    with rawpy.imread(os.fspath(path)) as raw:  # it turns the picture as the camera says
+    with rawpy.imread(os.fspath(path)) as raw:  # applies the camera's orientation
         pixels = raw.postprocess(output_bps=16, use_camera_wb=True, no_auto_bright=True, gamma=(2.4, 12.92))
     profile = pyvips.Image.profile_load("srgb")
     return pixels, 16, "", False, {"icc-profile-data": bytes(profile), "exif-data": exif.from_tiff(path)[0]}

@@ -29,13 +29,13 @@ DTYPES = {
     "float": "f4",
     "double": "f8",
 }
-LOADERS = {loader: form.name for form in FORMATS for loader in form.loaders}  # others read tables, and raw memory
+LOADERS = {loader: form.name for form in FORMATS for loader in form.loaders}  # others: tables, raw memory
 _VIPS = {np.dtype(dtype): name for name, dtype in DTYPES.items()}
 COLOURS = {"b-w": 1, "grey16": 1, "cmyk": 4, "multiband": 0}  # all others have three
 
 
 def meant(dtype: np.dtype[Any], colours: int, like: str) -> str:
-    """Return libvips' name for the meaning of the channels."""
+    """Return libvips' interpretation of the channels."""
     if like in ("cmyk", "lab") and COLOURS.get(like, 3) == colours:
         return like
     if colours not in (1, 3):
@@ -84,7 +84,7 @@ def wrapped(array: Array, meaning: str, bits: int) -> Any:
 
 
 def of_pixels(pixels: Array, bits: int, extra: int = 0, meaning: str = "") -> Any:
-    """Return decoded pixels as an image of libvips that says their bits; ``extra`` channels are no colours."""
+    """Return decoded pixels as an image of libvips that records their bits; the last ``extra`` are not colours."""
     channels = pixels.shape[2] if pixels.ndim == 3 else 1
     image = wrapped(np.ascontiguousarray(pixels), meant(pixels.dtype, channels - extra, meaning), 32)
     image.set_type(pyvips.GValue.gint_type, "bits-per-sample", bits)
@@ -126,7 +126,7 @@ def white_of(dtype: np.dtype[Any]) -> float:
 
 
 def divided(pixels: Array) -> Array:
-    """Return pixels whose colours are not multiplied by their opacity, the last channel."""
+    """Return premultiplied pixels with their colours divided by opacity, the last channel."""
     white = white_of(pixels.dtype)
     opacity = pixels[..., -1:].astype(np.float64)
     colours = pixels[..., :-1] * white
@@ -145,18 +145,18 @@ def codec_of(path: PathLike, head: bytes) -> tuple[str, str] | None:
 
 
 def damaged(path: PathLike, why: str = "") -> SuppleError:
-    """Return an error for a file that cannot be decoded, with a library's reason; without, it is not known at all."""
+    """Return an error for a file that cannot be decoded, for a library's reason; if empty, its format is unknown."""
     what = f"it is damaged, cut short or of a kind that is not supported ({why})"
     what = what if why else "it is no image of a known kind, or cut short"
     return unreadable(path, what, "give a whole copy of it, or convert it, to PNG or TIFF for instance")
 
 
 def bounds(mask: Array) -> Box | None:
-    """Return the box around all that is true; None if nothing is."""
+    """Return the bounding box of the true elements; None if there are none."""
     rows, columns = (np.flatnonzero(mask.any(axis=axis)) for axis in (1, 0))
     return (int(columns[0]), int(rows[0]), int(columns[-1]) + 1, int(rows[-1]) + 1) if rows.size else None
 
 
 def is_exr(path: PathLike) -> bool:
-    """Return whether a file begins as an OpenEXR does; False for what cannot be read."""
+    """Return whether a file begins as an OpenEXR does; False if it cannot be read."""
     return first_bytes(path, 4) == EXR_MAGIC

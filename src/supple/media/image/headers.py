@@ -26,7 +26,7 @@ EXTRA = "supple-extra"
 _THUMBNAIL = ("exif-ifd1-", "jpeg-thumbnail-data")
 NO_EXIF = 62  # all other flags of libvips for the parts of a header
 _UNKNOWN = 0.1  # a pixel a centimetre, which `finish` removes
-_HEAD = 1 << 20  # bytes at the beginning that are looked through
+_HEAD = 1 << 20  # bytes at the beginning of a file that are searched
 _EXIF_MOST = 65_000  # libvips reads no more than fits into a JPEG, and adds a few tags
 # Previews in metadata show the old pixels: they are removed, wherever they are.
 _SIGNS = re.compile(rb"\xff\xd8\xff|\xff\xd9")  # where a JPEG begins, and where one ends
@@ -41,14 +41,14 @@ _IN_XMP = (
 
 
 def saved_as(path: PathLike, image: Any, form: str) -> dict[str, Any]:
-    """Return the settings of libvips' saver by which a file is as it is: quality, subsampling, interlacing, loss."""
+    """Return the settings of libvips' saver that a file was written with: quality, subsampling, interlacing, loss."""
     chosen: dict[str, Any] = {}
     if form in ("JPEG", "PNG") and image.get_typeof("interlaced"):
         chosen["interlace"] = True
     if form == "JPEG":
         with open(path, "rb") as file:
             head = file.read(_HEAD)
-        # Of 4:2:2, which it calls 4:2:0, libvips writes no other than 4:4:4.
+        # Only true 4:2:0 is kept: libvips reports 4:2:2 as 4:2:0, and cannot write it.
         if re.search(rb"\xff[\xc0-\xc2].{7}[\x03\x04]\x01\x22", head, re.DOTALL):
             chosen["subsample_mode"] = "on"
         steps = _quantization(head)
@@ -98,7 +98,7 @@ def extra_of(image: Any) -> tuple[int, ...]:
 
 
 def collected(path: PathLike, image: Any, form: str, turned: bool) -> tuple[dict[str, Any], list[str]]:
-    """Return the metadata for `dressed`, and the names of those that cannot be kept, or describe the old pixels."""
+    """Return the metadata for `dressed`, and the names of metadata that cannot be kept."""
     header: dict[str, Any] = {}
     for name in image.get_fields():
         if name.startswith(_KEPT) and (name != "iptc-data" or form == "JPEG"):
@@ -140,7 +140,7 @@ def collected(path: PathLike, image: Any, form: str, turned: bool) -> tuple[dict
 def _blanked(data: bytes) -> bytes:
     """Return bytes with zeros for every JPEG in them, a thumbnail or a maker's preview: offsets stay valid."""
     made, begin, depth = bytearray(data), 0, 0
-    for found in _SIGNS.finditer(data):  # one may hold another
+    for found in _SIGNS.finditer(data):  # a JPEG may contain another
         opens = found[0] != b"\xff\xd9"
         if opens and depth == 0:
             begin = found.start()
@@ -151,15 +151,15 @@ def _blanked(data: bytes) -> bytes:
 
 
 def _without_pictures(xmp: bytes) -> bytes:
-    """Return XMP without pictures, and without what refers to others in the file."""
+    """Return XMP without embedded pictures, and without references to other pictures in the file."""
     for pattern in _IN_XMP:
         xmp = re.sub(pattern, b"", xmp)
     return xmp
 
 
-# Kept: libvips tells neither of frames of a PNG nor whether it says its resolution (test_nothing_is_invented).
+# Kept: libvips reports neither the frames of a PNG nor whether its resolution is stored (test_nothing_is_invented).
 def _chunk(file: BinaryIO, name: bytes) -> bytes:
-    """Go to the data of a chunk of a PNG before the pixels; return its length, or nothing."""
+    """Seek to the data of a chunk before the pixels of a PNG; return the 4 bytes of its length, or none if missing."""
     at, kind = 8, b""
     while kind not in (name, b"IDAT"):
         file.seek(at)
@@ -177,7 +177,7 @@ def png_frames(path: PathLike) -> int:
 
 
 def _tells_size(path: PathLike, image: Any, form: str) -> bool:
-    """Return whether a resolution is the file's: libvips invents one for JPEG and PNG, and a unit for TIFF."""
+    """Return whether a resolution is stored in the file: libvips invents one for JPEG and PNG, and a unit for TIFF."""
     if image.get_typeof("resolution-unit") or form not in ("JPEG", "PNG", "TIFF"):
         return True
     if form != "PNG":
@@ -189,10 +189,7 @@ def _tells_size(path: PathLike, image: Any, form: str) -> bool:
 def dressed(
     image: Any, header: Mapping[str, Any], icc: bytes | None, form: Format, colours: int
 ) -> tuple[Any, list[str], bool]:
-    """Return an image with a header and a profile; the names of those that the format cannot hold.
-
-    And whether its resolution is known.
-    """
+    """Return an image with a header and a profile, what the format cannot hold, and whether the resolution is known."""
     lost = []
     header = dict(header)
     sizes = header.pop("resolution", None)
@@ -226,9 +223,9 @@ def dressed(
     return image.copy(xres=xres, yres=yres), lost, sizes is not None
 
 
-# Kept: libvips makes a resolution up, or leaves one out (test_nothing_is_invented, test_resolution_comes_through).
+# Kept: libvips invents or omits a resolution (test_nothing_is_invented, test_resolution_comes_through).
 def finish(path: PathLike, image: Any, form: Format, sized: bool) -> None:
-    """Correct the resolution in a written file: none, if it is unknown."""
+    """Correct the resolution in a written file, or remove it if it is unknown."""
     if form is JPEG and sized and not image.get_typeof("exif-data"):
         with open(path, "rb+") as file:
             data = file.read()

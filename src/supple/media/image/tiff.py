@@ -1,4 +1,4 @@
-"""Tags of a TIFF about its samples, those that libvips reads wrongly or not at all, and tags that it does not write."""
+"""Tags of a TIFF that describe its samples and that libvips misreads or ignores, and tags that it does not write."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _UNIT, _LENGTH, _OFFSETS, _COUNTS = 296, 257, (273, 324), (279, 325)
 _LEAST, _MOST, _AT_ONCE = 1 << 24, 2_000_000_000, 8  # bytes of a picture that is compressed in parts, and these
 MINISWHITE, RGB, YCBCR, CIELAB, ICCLAB, ITULAB = 0, 2, 6, 8, 9, 10
 MASK, _MOSAIC = 4, 32803
-# by photometric interpretation; others have three, inks their own
+# the number of colours by photometric interpretation; others have three, inks any number
 _COLOURS = dict.fromkeys((0, 1, 3, MASK, _MOSAIC), 1)
 _UNSAVED = (MINISWHITE, CIELAB, ICCLAB, ITULAB)
 _MEANINGS = {5: "cmyk", CIELAB: "lab", ICCLAB: "lab", ITULAB: "lab"}
@@ -98,13 +98,13 @@ class Page:
             for _ in range(number):
                 at = self._form.number(reader.entries(at)[1])
             form, entries = self._form, reader.entries(at)[0]
-            self._entries: dict[int, int] = {}  # where they are in the file
+            self._entries: dict[int, int] = {}  # offsets in the file
             self._values: dict[int, Value] = {}
             self._integers: dict[int, int] = {}
             for k, entry in enumerate(entries):
                 tag = form.number(entry[:2])
                 if self._entries.setdefault(tag, place := at + form.count + form.step * k) != place:
-                    continue  # of a tag that is there twice, the first counts
+                    continue  # of duplicate tags, the first counts
                 self._integers[tag] = reader.integer(entry)
                 if tag in (_BITS, _EXTRA, _FORMAT, *_TAGS) and (value := reader.value(entry)) is not None:
                     self._values[tag] = value
@@ -132,7 +132,7 @@ class Page:
         if inks:
             colours = self.samples - len(extra) if multi else 4
         colours = min(colours, self.samples)
-        extra = (extra + (0,) * self.samples)[: self.samples - colours]  # those that are not described are data
+        extra = (extra + (0,) * self.samples)[: self.samples - colours]  # channels without a description are data
         meaning = "multiband" if multi else _MEANINGS.get(self.photometric, "")
         saved = _SAVED.get(self._compression, "deflate")
         if saved == "jpeg" and (extra or multi or self.bits != 8 or self.photometric not in (1, RGB, YCBCR)):
@@ -164,12 +164,12 @@ class Page:
 
     @property
     def is_usual(self) -> bool:
-        """True if libvips reads the samples, if it is told that they are grey or RGB."""
+        """True if libvips reads the samples correctly once the page is tagged as grey or RGB."""
         usual = self.bits in (8, 16, 32) or (self.bits in (1, 2, 4) and self.samples == 1)
         return usual and self.planes == 1
 
     def retagged(self) -> mmap.mmap:
-        """Return the file in memory, where the page is grey or RGB without opacity, or of one sample of 8 bits.
+        """Return the file in memory, with the page tagged as grey or RGB without opacity, or as one sample of 8 bits.
 
         SuppleError for samples that are not supported.
         """
@@ -190,7 +190,7 @@ class Page:
             at = self._entries[tag]
             entry = form.stored(tag, 2) + form.stored(4, 2) + form.stored(1, form.word) + form.stored(values[tag], 4)
             data[at : at + form.step] = entry.ljust(form.step, b"\0")
-        if _EXTRA in self._entries:  # named as the one before it: libtiff ignores the second of two
+        if _EXTRA in self._entries:  # renamed to the tag before it: libtiff ignores duplicates
             at = self._entries[_EXTRA]
             data[at : at + 2] = form.stored(max(tag for tag in self._entries if tag < _EXTRA), 2)
         return data
@@ -226,7 +226,7 @@ class Page:
 
 
 def swapped(tiff: Tiff, pixels: Array) -> Array:
-    """Return stored samples as a picture's, or the reverse: with white at the largest value, and a* and b* offset."""
+    """Convert stored samples to those of a `Picture`, or back: white is the largest value, a* and b* are offset."""
     if pixels.dtype.kind == "u" and tiff.photometric in (MINISWHITE, CIELAB):
         pixels = pixels.copy()
         if tiff.photometric == CIELAB:
@@ -277,7 +277,7 @@ def tagged(path: PathLike, tiff: Tiff, added: Folder, sized: bool, parts: Sequen
     if tiff.extra:
         changed[_EXTRA] = _shorts(*tiff.extra)
     if not sized:
-        changed[_UNIT] = _shorts(1)  # none: without the tag, readers take it for the inch
+        changed[_UNIT] = _shorts(1)  # no unit: without the tag, readers assume inches
     into_tiff(path, added, changed, () if tiff.extra else (_EXTRA,))
 
 

@@ -57,7 +57,7 @@ def opened(path: PathLike) -> tuple[Any, str]:
 
 
 def pages_of(path: PathLike) -> tuple[str, int]:
-    """Return the format of an image, and the number of its pages or frames; none of one that cannot be read."""
+    """Return the format of an image, and the number of its pages or frames; ("", 0) if it cannot be read."""
     try:
         image, form = opened(path)
     except SuppleError:
@@ -79,7 +79,7 @@ def _by_ffmpeg(path: PathLike, codec: str, form: str) -> tuple[Any, str]:
 
 
 def of_exr(held: exr.Exr) -> Any:
-    """Return the picture of an OpenEXR; it is premultiplied, and averaged as such."""
+    """Return the picture of an OpenEXR, with premultiplied colours, which are averaged as such."""
     pixels = held.arrays[0]
     image = of_pixels(pixels, held.bits)
     if pixels.shape[2] in (2, 4):
@@ -92,7 +92,7 @@ def of_exr(held: exr.Exr) -> Any:
 def of_tiff(path: PathLike, number: int = 0) -> Any:
     """Open a page of a TIFF; decode what libvips reads wrongly."""
     page = Page(path, number)
-    # of damaged tiles, libvips only warns
+    # libvips only warns of damaged tiles
     options: dict[str, Any] = {"page": number, "fail_on": "warning" if page.tiled else "error"}
     if page.is_plain or page.is_ycbcr:
         image = apart(lambda: sequential(path, **options)).copy()
@@ -124,14 +124,14 @@ def _with_header(made: Any, image: Any) -> Any:
 
 
 def sequential(path: PathLike, *, fail_on: str = "error", **options: Any) -> Any:
-    """Open a file by libvips, which fails on damaged or truncated files; or on "warning", too."""
+    """Open a file with libvips for one sequential read; decoding stops at errors, or also at warnings."""
     # a source, since libvips would parse "[...]" in a file's name as options, and cache the image
     source = pyvips.Source.new_from_file(os.fsencode(path))
     return pyvips.Image.new_from_source(source, "", access="sequential", fail_on=fail_on, **options)
 
 
 def apart(work: Callable[[], T], image: Any = None) -> T:
-    """Run work of libvips in another thread: in this one, its callbacks would swallow and print an interrupt."""
+    """Run work of libvips in another thread: on this one, libvips' callbacks would print and swallow an interrupt."""
     return together([work], [] if image is None else [image])[0]
 
 

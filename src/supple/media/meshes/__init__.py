@@ -1,7 +1,7 @@
-"""Meshes and contours in files: their points and normals, and a copy with others in which every other byte is kept.
+"""Meshes and contours in files: reading points and normals, and replacing them in a copy that keeps all other bytes.
 
-Libraries read these formats, but what they do not know is lost when they write (test_what_libraries_lose): objects
-and groups of OBJ, properties of PLY, colours of STL. So only the numbers that move are found here, and replaced.
+Libraries lose what they do not support when they write these formats (test_what_libraries_lose): objects and groups
+of OBJ, properties of PLY, colours of STL. So only the numbers that change are located here, and replaced.
 Structure sets of DICOM are written by pydicom.
 """
 
@@ -31,9 +31,9 @@ Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.intp]
 Spans = Sequence[tuple[int, int]]
 Edit = tuple[int, int, bytes]
-"""The bytes that replace those from a place to another."""
+"""An edit of bytes: start offset, end offset, and the replacement."""
 Runs = tuple[npt.ArrayLike, npt.ArrayLike]
-"""The vertices of polygons or polylines, one after the other, and how many each has."""
+"""Polygons or polylines: the indices of their vertices, concatenated, and the number of vertices of each."""
 NO_RUNS: Runs = ((), ())
 TOKEN = re.compile(rb"\S+")
 _SPACE = re.compile(rb"SPACE\s*=\s*(LPS|RAS)\b")
@@ -50,19 +50,19 @@ class Part:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Mesh:
-    """The vertices of a mesh, and its normals."""
+    """The vertices, normals, faces and lines of a mesh."""
 
     points: Floats  # the vertices, shape (N, 3), in the order of the file
-    convention: str  # "LPS" or "RAS" if the file says it, as those of 3D Slicer do; otherwise empty
+    convention: str  # "LPS" or "RAS" if it is in the file, as 3D Slicer writes it; otherwise empty
     rewritten: Callable[[Floats, Floats], bytes]  # returns the file with other points (N, 3) and normals (M, 3)
-    parts: Callable[[], list[Part]]  # returns what joins the points, which is read only then
+    parts: Callable[[], list[Part]]  # returns faces and lines, which are read on this call
     normals: Floats = field(default_factory=lambda: np.zeros((0, 3)))  # at vertices, not of facets; shape (M, 3)
     at: Ints = field(default_factory=lambda: np.zeros(0, np.intp))  # the vertex of each normal
 
 
 @dataclass(frozen=True, slots=True)
 class Numbers:
-    """Numbers in a file, as rows (N, K) of float64, and their place: spans of text, or the start of rows of a dtype."""
+    """Numbers in a file, as rows (N, K) of float64, and their location: spans of text, or the offset of binary rows."""
 
     values: Floats
     spans: Spans = ()
@@ -72,13 +72,13 @@ class Numbers:
 
     @property
     def end(self) -> int:
-        """The place behind the last."""
+        """The offset after the last number."""
         if self.rows is not None:
             return self.start + self.rows.nbytes
         return self.spans[-1][1] if len(self.spans) else self.start
 
     def edits(self, new: Floats) -> list[Edit]:
-        """Return the edits that put other values there: of text, where they have changed."""
+        """Return the edits that replace the numbers by ``new``; in text, only those that have changed."""
         if self.rows is None:
             old, after = self.values.ravel(), new.ravel()
             return [(*self.spans[k], repr(float(after[k])).encode()) for k in np.flatnonzero(old != after).tolist()]
@@ -89,19 +89,19 @@ class Numbers:
 
 
 def in_text(data: bytes, spans: Spans, width: int, start: int = 0) -> Numbers:
-    """Return the numbers at spans of text, in rows of so many; ValueError for what is none."""
+    """Return the numbers at spans of text, in rows of ``width``; ValueError for text that is not a number."""
     return Numbers(np.array([float(data[a:b]) for a, b in spans]).reshape(-1, width), spans, start)
 
 
 def in_rows(data: bytes, start: int, count: int, fields: Sequence[Any], columns: Sequence[str]) -> Numbers:
-    """Return columns, as wide as each other, of binary rows with these fields; ValueError if they end early."""
+    """Return columns, all of one width, of ``count`` binary rows with these fields; ValueError if they end early."""
     rows = np.frombuffer(data, np.dtype(list(fields)), count, start)
     values = np.hstack([np.atleast_2d(rows[name].T).T for name in columns]).astype(np.float64)
     return Numbers(values, start=start, rows=rows, columns=columns)
 
 
 def tokens(data: bytes, start: int, count: int) -> Spans:
-    """Return the spans of the words that follow in text; ValueError if there are fewer."""
+    """Return the spans of the next ``count`` words in text; ValueError if there are fewer."""
     spans = [match.span() for match in islice(TOKEN.finditer(data, start), count)]
     if len(spans) < count:
         raise ValueError(f"{count} numbers are promised, and {len(spans)} are left")
@@ -118,7 +118,7 @@ def edited(data: bytes, edits: Iterable[Edit]) -> bytes:
 
 
 def space_of(head: bytes) -> str:
-    """Return the convention that a header says as 3D Slicer does, ``SPACE=LPS``, or nothing."""
+    """Return the convention in a header, which 3D Slicer writes as ``SPACE=LPS``; empty if there is none."""
     found = _SPACE.search(head)
     return found[1].decode() if found else ""
 
@@ -143,14 +143,14 @@ def part_of(
     *,
     colour: tuple[float, float, float] | None = None,
 ) -> Part:
-    """Return a part of a mesh of ``count`` vertices; ValueError if one has another index.
+    """Return a part of a mesh of ``count`` vertices; ValueError if an index is out of range.
 
     Polygons are divided into triangles that share their first corner, which is exact for convex ones.
     """
     first, k, corners = _steps(count, polygons, 2)
     triangles = np.stack([corners[first], corners[first + k + 1], corners[first + k + 2]], axis=-1)
     first, k, corners = _steps(count, strips, 2)
-    odd = k % 2  # every second triangle of a strip is turned
+    odd = k % 2  # every second triangle of a strip has the opposite orientation
     stripped = np.stack([corners[first + k], corners[first + k + 1 + odd], corners[first + k + 2 - odd]], axis=-1)
     first, k, corners = _steps(count, lines, 1)
     pairs = np.stack([corners[first + k], corners[first + k + 1]], axis=-1)
@@ -158,12 +158,12 @@ def part_of(
 
 
 def joined(runs: Sequence[Sequence[int]]) -> Runs:
-    """Return polygons or polylines of a list for each."""
+    """Return `Runs` from a list of vertices for each polygon or polyline."""
     return [corner for run in runs for corner in run], [len(run) for run in runs]
 
 
 def _steps(count: int, runs: Runs, less: int) -> tuple[Ints, Ints, Ints]:
-    """Return where each run begins, and the steps from there, for each of its corners but the last ``less``."""
+    """Return, for each corner of a run but its last ``less``: the run's start, the step from it; and all corners."""
     corners, many = (np.asarray(each, np.intp).ravel() for each in runs)
     if (many < 0).any() or many.sum() != len(corners):
         raise ValueError("its faces or lines do not have as many corners as it says")
@@ -175,15 +175,15 @@ def _steps(count: int, runs: Runs, less: int) -> tuple[Ints, Ints, Ints]:
 
 
 def parsing(path: PathLike) -> AbstractContextManager[None]:
-    """Convert errors of what is damaged to one sentence."""
+    """Convert errors about damaged files to one sentence."""
     kinds = ValueError, OverflowError, LookupError, zlib.error, lzma.LZMAError
     return refusing(lambda error: unreadable(path, f"it is damaged or cut short ({said(error)})"), *kinds)
 
 
 def read_mesh(path: PathLike, kind: str, series: Volume | None = None) -> Mesh:
-    """Read a file of one of the `KINDS`; SuppleError if it cannot be read, is damaged, or is none of them.
+    """Read a file of one of the `KINDS`; SuppleError if it cannot be read, is damaged, or is of another kind.
 
-    With a ``series`` of DICOM, a structure set that is written refers to it.
+    With a DICOM ``series``, a structure set that is written refers to it.
     """
     parsed: Callable[..., Mesh] = import_module(f"supple.media.meshes.{kind.lower()}").parsed
     data = head_of(path, -1, "give a file of a mesh")

@@ -1,4 +1,4 @@
-"""Wavefront OBJ: materials, groups, colours and texture coordinates stay in the text."""
+"""Wavefront OBJ: materials, groups, colours and texture coordinates are kept."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from supple.errors import SuppleError
 from supple.media.files import PathLike, unreadable
 from supple.media.meshes import TOKEN, Floats, Mesh, Part, checked, edited, in_text, joined, part_of, space_of
 
-# A line, and those that continue it, without a comment at its end.
+# A line with its continuation lines, without a comment at its end.
 _STATEMENT = re.compile(rb"((?:[^\r\n#\\]+|\\(?:\r\n?|\n)?)*)(?:#[^\r\n]*)?(?:\r\n?|\n|\Z)")
 _CONTINUED = re.compile(rb"\\(?:\r\n?|\n)")
 _WORD = re.compile(rb"[ \t]*(v|vn|f|l|p|curv|curv2|surf|cstype)[ \t]")
@@ -19,7 +19,7 @@ _ZERO = re.compile(rb"[\s/]0+(?![^\s/])")
 
 
 def parsed(path: PathLike, data: bytes) -> Mesh:
-    """Return the vertices of an OBJ file, and for each normal those at which faces have it."""
+    """Return the vertices of an OBJ file, and its normals, once for each vertex at which a face uses them."""
     spans: dict[bytes, list[tuple[int, int]]] = {b"v": [], b"vn": []}
     pairs: dict[tuple[int, int], None] = {}
     for start, line in _statements(data):
@@ -46,7 +46,7 @@ def parsed(path: PathLike, data: bytes) -> Mesh:
         raise unreadable(path, f"a face has another normal or vertex than its {len(normals)} and {len(points)}")
 
     def rewritten(moved: Floats, turned: Floats) -> bytes:
-        # of a normal that several vertices share, the mean of theirs
+        # a normal that several vertices share becomes the mean of its new values
         sums, after = np.zeros_like(normals), normals.copy()
         np.add.at(sums, which, turned)
         length = np.linalg.norm(sums, axis=1)
@@ -61,13 +61,13 @@ def parsed(path: PathLike, data: bytes) -> Mesh:
 
 
 def _statements(data: bytes) -> Iterator[tuple[int, bytes]]:
-    """Yield where statements start, and each in one line, as long as it is over several."""
+    """Yield the offset of each statement and its text, with continued lines joined, padded to the original length."""
     for found in _STATEMENT.finditer(data):
         yield found.start(), _CONTINUED.sub(lambda end: b" " * len(end[0]), found[1])
 
 
 def _index(text: bytes, count: int) -> int:
-    """Return an index from 0 of one that counts from 1, or backwards from the last so far."""
+    """Convert an index that counts from 1, or backwards from the latest vertex, to one from 0."""
     number = int(text)
     return number - 1 if number > 0 else number + count
 

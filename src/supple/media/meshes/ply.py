@@ -26,7 +26,7 @@ _PLACE, _NORMAL = ["x", "y", "z"], ["nx", "ny", "nz"]
 class _Element:
     name: str
     count: int
-    properties: list[tuple[str, str, str]]  # names, dtypes, and of lists the dtype of their length, in order
+    properties: list[tuple[str, str, str]]  # (name, dtype, dtype of the length of a list or empty), in order
 
     @property
     def kinds(self) -> dict[str, str]:
@@ -105,7 +105,7 @@ def _declared(path: PathLike, header: str) -> tuple[str, list[_Element]]:
 def _text(
     path: PathLike, data: bytes, start: int, skipped: int, vertex: _Element, columns: list[str]
 ) -> tuple[meshes.Numbers, int]:
-    """Return the columns of vertices, which follow so many rows of other elements, and where they end."""
+    """Return columns of the vertices, which follow ``skipped`` rows of other elements, and the offset of their end."""
     places, spans, rows = [list(vertex.kinds).index(name) for name in columns], [], 0
     for line in data[start:].splitlines(keepends=True):
         if rows == skipped + vertex.count:
@@ -124,14 +124,14 @@ def _text(
 
 
 class _Rest:
-    """The elements behind the vertices, which are read one after the other."""
+    """A reader of the elements after the vertices, in order."""
 
     def __init__(self, data: bytes, order: str) -> None:
         self.order, self.at = order, 0
         self.held: Any = data if order else data.split()
 
     def element(self, known: _Element) -> dict[str, meshes.Runs]:
-        """Return the values of each property, and for lists how many are in each."""
+        """Read an element; return, for each property, its values and their number in each row."""
         if self.order and known.count and (found := self._alike(known)) is not None:
             return found
         rows: dict[str, list[list[int]]] = {name: [] for name, *_ in known.properties}
@@ -141,7 +141,7 @@ class _Rest:
         return {name: meshes.joined(each) for name, each in rows.items()}
 
     def _alike(self, known: _Element) -> dict[str, meshes.Runs] | None:
-        """Return binary rows that have lists of one size, as most have; None if they have not."""
+        """Read binary rows at once, if all their lists have the length of the first row's, as is usual; else None."""
         start, fields, sizes = self.at, [], {}
         for name, kind, length in known.properties:
             sizes[name] = int(self._taken("", 1, length)[0]) if length else 1
@@ -159,7 +159,7 @@ class _Rest:
         return {name: (found[name], np.full(known.count, sizes[name])) for name, *_ in known.properties}
 
     def _taken(self, name: str, many: int, kind: str) -> list[Any]:
-        """Return values of a property, or of the length of a list; of text, only these and indices."""
+        """Read values of a property, or a list's length (no ``name``); in text, values that are not indices are []."""
         start, self.at = self.at, self.at + many * (np.dtype(kind).itemsize if self.order else 1)
         if many < 0 or self.at > len(self.held):
             raise ValueError("it ends before its faces do")

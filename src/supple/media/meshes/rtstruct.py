@@ -1,4 +1,4 @@
-"""Contours of a DICOM structure set, by pydicom: moved, in a structure set with UIDs of its own.
+"""Contours of a DICOM structure set, by pydicom; moved contours are written to a structure set with new UIDs.
 
 The attributes are those of DICOM PS3.3, C.8.8.5 (Structure Set) and C.8.8.6 (ROI Contour).
 """
@@ -21,10 +21,10 @@ from supple.media.volume.derived import WARNING, ended, new_uid, reference_to, s
 from supple.media.volume.frames import dataset, frames_of, head_of, imported, without
 
 _STRUCTURES = "1.2.840.10008.5.1.4.1.1.481.3"
-_STUDY = "1.2.840.10008.3.1.2.3.1"  # the class of studies, which is retired, and still what is given here
-_FLAT = 0.01  # mm: the farthest that the points of a planar contour lie from their plane
-_LONG = 65_534  # bytes of a value that an explicit VR of text can hold
-# What was true of the contours where they were, and of the structure set that somebody has approved.
+_STUDY = "1.2.840.10008.3.1.2.3.1"  # the class of studies: retired, but still used for this reference
+_FLAT = 0.01  # mm: the largest distance of a planar contour's points from its plane
+_LONG = 65_534  # bytes: the longest text value with an explicit VR
+# Attributes that hold only for the old contours, and only for the approved source.
 _STALE = (
     "ContourImageSequence", "ContourSlabThickness", "ContourOffsetVector", "SourcePixelPlanesCharacteristicsSequence",
     "SourceSeriesSequence",
@@ -36,9 +36,9 @@ _STALE_SET = (
 
 
 def parsed(path: PathLike, data: bytes, series: Volume | None = None) -> Mesh:
-    """Return the points of all contours of a structure set, in LPS, as DICOM has them.
+    """Return the points of all contours of a structure set, in LPS.
 
-    With a ``series`` of DICOM, what is written refers to it, and each contour to its slice.
+    With a DICOM ``series``, the written structure set refers to it, and each contour to its nearest slice.
     """
     pydicom = imported()
     try:
@@ -46,7 +46,7 @@ def parsed(path: PathLike, data: bytes, series: Volume | None = None) -> Mesh:
         whole = all(_is_whole(read.get_item(tag)) for tag in read.keys())  # noqa: SIM118, not a dict
         kind = str(read.get("SOPClassUID", ""))
         blocks = [np.array(contour.ContourData, np.float64) for contour in _contours(read)]
-    except Exception as error:  # pydicom has many
+    except Exception as error:  # pydicom raises many types
         raise unreadable(path, f"it is no whole DICOM file ({said(error)[:120]})") from error
     if not whole:
         raise unreadable(path, "its end is missing")
@@ -85,7 +85,7 @@ def parsed(path: PathLike, data: bytes, series: Volume | None = None) -> Mesh:
 
 
 def _is_whole(raw: Any) -> bool:
-    """Return whether an element has as many bytes as it says; pydicom reads those that there are."""
+    """Return whether an element has its declared length; pydicom reads truncated ones without an error."""
     length = getattr(raw, "length", None)
     return length in (None, 0xFFFFFFFF) or len(raw.value or b"") >= length
 
@@ -97,7 +97,7 @@ def _contours(read: Any) -> list[Any]:
 
 
 def _parts(read: Any, count: int) -> list[Part]:
-    """Return the contours of each region, closed where they are closed, in the colour of the region."""
+    """Return the contours of each region as lines, closed or open as in the file, in the region's colour."""
     made, begin = [], 0
     for region in read.get("ROIContourSequence") or []:
         runs: list[list[int]] = []
@@ -117,9 +117,9 @@ def _parts(read: Any, count: int) -> list[Part]:
 
 
 def _move(contour: Any, new: Floats, old: Floats) -> float:
-    """Move a contour; return how far its points now lie from a plane if they are no longer in one, otherwise 0.
+    """Move a contour; return the largest distance of its points from a plane (mm), 0 if it is still planar.
 
-    DICOM has open contours out of a plane, and no closed ones; programs fill what is closed, and leave out the rest.
+    In DICOM, a contour that is not planar must be open; but programs fill closed contours only, and ignore others.
     """
     without(contour, _STALE)
     decimal, known = imported().valuerep.DSfloat, list(contour.ContourData)
@@ -140,7 +140,7 @@ def _move(contour: Any, new: Floats, old: Floats) -> float:
 
 
 def _renew(made: Any) -> None:
-    """Make a structure set one of its own, with the source as its predecessor."""
+    """Give a structure set new UIDs, with the source as its predecessor."""
     source = reference_to(made)
     made.remove_private_tags()
     regions = made.get("StructureSetROISequence") or []
@@ -165,7 +165,7 @@ def _renew(made: Any) -> None:
 
 
 def _refer(made: Any, series: Volume) -> None:
-    """Refer to the slices of a series, or the frames of a file; of each contour, to the slice that it is nearest to."""
+    """Add references to the slices or frames of a series, and from each contour to its nearest slice."""
     many, count = isinstance(series.header, str), series.sizes[2]
     heads = [head_of(name) for name in ([series.header] if many else series.header)]
     places = frames_of(series.header).places if many else None

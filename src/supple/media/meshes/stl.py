@@ -1,4 +1,4 @@
-"""STL, as text and binary. Vertices that several facets share are one; facets that move get new normals."""
+"""STL, as text and binary. Equal corners of facets are one vertex; facets that move get new normals."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _TRIPLE = re.compile(rb"\b(normal|vertex)[ \t]+(%b)[ \t]+(%b)[ \t]+(%b)" % ((_NU
 
 
 def parsed(path: PathLike, data: bytes) -> Mesh:
-    """Return the vertices of an STL file, each once."""
+    """Return the distinct vertices of an STL file."""
     count = int.from_bytes(data[80:_HEAD], "little")
     size = _HEAD + count * np.dtype(_FACET).itemsize
     text = data.lstrip()[:5].lower() == b"solid"
@@ -24,7 +24,7 @@ def parsed(path: PathLike, data: bytes) -> Mesh:
         facets, head = in_rows(data, _HEAD, count, _FACET, ["numbers"]), data[:80]
     elif text:
         found = list(_TRIPLE.finditer(data))
-        words = "".join(chr(match[1][0] | 32) for match in found)  # in small letters
+        words = "".join(chr(match[1][0] | 32) for match in found)  # in lower case
         if words != "nvvv" * (len(words) // 4):
             raise unreadable(path, "its facets are not a normal and three vertices each")
         if len(found) and not re.search(rb"endsolid\b[^\n]*\s*\Z", data, re.IGNORECASE):
@@ -38,7 +38,7 @@ def parsed(path: PathLike, data: bytes) -> Mesh:
 
     def rewritten(moved: Floats, _: Floats) -> bytes:
         made = before.copy()
-        binary = facets.rows is not None  # of float32
+        binary = facets.rows is not None  # then float32
         made[:, 3:] = (moved.astype(np.float32) if binary else moved)[which].reshape(-1, 9)
         turned = (made != before).any(axis=1)
         first, second, third = np.split(made[turned, 3:], 3, axis=1)
@@ -52,8 +52,8 @@ def parsed(path: PathLike, data: bytes) -> Mesh:
 
 
 def _distinct(corners: Floats) -> tuple[Floats, np.typing.NDArray[np.intp]]:
-    """Return the different corners (N, 3), and for each corner which of these it is."""
+    """Return the distinct corners (N, 3), and for each corner its index among these."""
     rows = np.ascontiguousarray(corners).view(np.dtype((np.void, 24))).ravel()
     _, first, which = np.unique(rows, return_index=True, return_inverse=True)
-    order = np.argsort(first)  # as they come in the file
+    order = np.argsort(first)  # in the order of the file
     return corners[first[order]], np.argsort(order)[which.ravel()]

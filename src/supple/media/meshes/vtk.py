@@ -23,7 +23,7 @@ _KINDS = {b"float": ">f4", b"double": ">f8", b"vtktypeint64": ">i8", b"vtktypein
 
 
 def parsed(path: PathLike, data: bytes) -> meshes.Mesh:
-    """Return the points of PolyData, and the active normals of points."""
+    """Return the points of PolyData, and their active normals."""
     head = _HEAD.match(data)
     if head is None:
         raise unreadable(path, "it does not begin with the header of VTK's legacy format", "give a whole .vtk file")
@@ -44,7 +44,7 @@ def parsed(path: PathLike, data: bytes) -> meshes.Mesh:
 
     def rewritten(moved: meshes.Floats, turned: meshes.Floats) -> bytes:
         edits = [*points.edits(moved), *(normals.edits(turned) if len(turned) else ())]
-        noted = _RANGE.match(data, points.end)  # the range that newer versions note behind the points
+        noted = _RANGE.match(data, points.end)  # the range of values, which newer versions store after the points
         if noted and (moved != points.values).any():
             length = np.linalg.norm(moved, axis=1)
             edits.append((*noted.span(1), f"{length.min():.17g} {length.max():.17g}".encode()))
@@ -61,7 +61,7 @@ def parsed(path: PathLike, data: bytes) -> meshes.Mesh:
 
 
 def _runs(data: bytes, found: re.Match[bytes], binary: bool) -> tuple[meshes.Runs, int]:
-    """Return cells, and where they end: corners behind their number, or apart from offsets."""
+    """Return cells and the offset of their end; corners follow their number, or, since version 5, are an own array."""
     first, second = int(found[2]), int(found[3])
     if named := _OFFSETS.match(data, found.end()):
         offsets, end = _whole(data, named.end(), first, named[1], binary)

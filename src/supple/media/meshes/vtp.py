@@ -1,4 +1,4 @@
-"""VTK's XML PolyData: the arrays of points and normals are encoded anew as they were, all else is kept."""
+"""VTK's XML PolyData: arrays of points and normals are replaced in the same encoding, all else is kept."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ _CODECS: dict[str, _Codec] = {
 
 @dataclass(frozen=True, slots=True)
 class _File:
-    """A file, how its arrays are encoded, and where its appended data begins."""
+    """A file, the encoding of its arrays, and the offset of its appended data."""
 
     path: PathLike
     data: bytes
@@ -49,7 +49,7 @@ class _File:
     raw: bool
 
     def decode(self, start: int, raw: bool) -> tuple[bytes, int, int]:
-        """Return the bytes of an array that begins at ``start``, its end, and the size of its blocks."""
+        """Return the bytes of an array at an offset, the offset of its end, and the size of its blocks."""
         size = self.count.itemsize
 
         def taken(at: int, many: int) -> tuple[bytes, int]:
@@ -74,7 +74,7 @@ class _File:
         return b"".join(parts), end, head[1]
 
     def encode(self, values: bytes, block: int, raw: bool) -> bytes:
-        """Return an array as `decode` reads it."""
+        """Encode an array for `decode`."""
         plain: Callable[[bytes], bytes] = bytes if raw else base64.b64encode
         if self.codec is None:
             return plain(np.array([len(values)], self.count).tobytes() + values)
@@ -97,7 +97,7 @@ class _Array:
     text: meshes.Numbers | None = None
 
     def edits(self, file: _File, new: meshes.Floats) -> list[meshes.Edit]:
-        """Return the edits that put other numbers there, and remove their range, where it is noted."""
+        """Return the edits that replace the numbers, and remove their range where the tag has it."""
         if self.text is not None:
             edits = self.text.edits(new)
         else:
@@ -107,7 +107,7 @@ class _Array:
 
 
 def parsed(path: PathLike, data: bytes) -> meshes.Mesh:
-    """Return the points of PolyData in all pieces, and the active normals of points."""
+    """Return the points of all pieces of PolyData, and their active normals."""
     root = _ROOT.search(data, 0, 4096)
     known = _attributes(root[1]) if root else {}
     if known.get("type") != "PolyData":
@@ -222,7 +222,7 @@ def _array(file: _File, found: re.Match[bytes]) -> _Array:
 
 
 def _space(file: _File, xml: bytes) -> str:
-    """Return what the field SPACE says, which 3D Slicer writes: the codes of its letters."""
+    """Return the convention in the field SPACE, which 3D Slicer writes as character codes."""
     for found in _ARRAY.finditer(xml):
         if _attributes(found[2]).get("Name") == "SPACE":
             said = _array(file, found).values.tobytes().rstrip(b"\0").decode("latin-1")
@@ -231,7 +231,7 @@ def _space(file: _File, xml: bytes) -> str:
 
 
 def _offsets(file: _File, edits: list[meshes.Edit]) -> Iterator[meshes.Edit]:
-    """Yield the edits of offsets: where appended arrays change in size, those behind follow."""
+    """Yield the edits of offsets, which shift where appended arrays before them change in size."""
     shifts = [(start - file.appended, len(new) - (end - start)) for start, end, new in edits if start >= file.appended]
     if any(size for _, size in shifts):
         for found in _OFFSET.finditer(file.data, 0, file.appended):

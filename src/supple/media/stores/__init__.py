@@ -1,1 +1,1 @@
-"""Zarr arrays and OME-Zarr images: opened, and created like another for blocks that many processes write."""
+"""Zarr arrays and OME-Zarr images: opening them, and creating outputs that many processes write block by block."""

@@ -1,7 +1,7 @@
-"""Images in Zarr stores, opened: their axes, levels and grid; no sample is read.
+"""Images in Zarr stores: their axes, levels and grid; no samples are read.
 
-The metadata of OME-Zarr are read here and not by a library: `ome-zarr-models` 1.7 has no Python 3.14 and no public
-models of version 0.6, refuses axes without a type, which many files have, and accepts scales of -1 and infinity.
+OME-Zarr metadata are parsed here and not by a library: `ome-zarr-models` 1.7 does not support Python 3.14, has no
+public models of version 0.6, refuses axes without a type, which many files have, and accepts scales of -1 and infinity.
 """
 
 from __future__ import annotations
@@ -26,16 +26,16 @@ from supple.space.geometry import Grid
 
 LABELS = "labels"
 """The group of an image's label images."""
-_PIXELS = ("", "pixel", "pixels", "voxel", "voxels")  # of programs, not of the specification
+_PIXELS = ("", "pixel", "pixels", "voxel", "voxels")  # used by programs, but not in the specification
 
 _GUESSED = {"t": "time", "c": "channel", "z": "space", "y": "space", "x": "space"}
-_CARRIED = re.compile("(time )?(channel |other )?(space ){2,3}")  # the kinds of axes
+_CARRIED = re.compile("(time )?(channel |other )?(space ){2,3}")  # supported kinds of axes, in order
 _MEND = "mend its metadata"
 _MOST = 8  # names in a message
 
 
 class StoredAxis(NamedTuple):
-    """An axis of a stored image: a name, a kind (time, channel or space), which may be empty, and its description."""
+    """An axis of a stored image: its name, its kind (time, channel, space or empty), and its metadata."""
 
     name: str
     kind: str
@@ -44,7 +44,7 @@ class StoredAxis(NamedTuple):
 
 
 class Level(NamedTuple):
-    """An array of a stored image, and the scale and translation from an index to a position, in units of the axes."""
+    """An array of a stored image; ``scale`` and ``translation`` map indices to positions, in units of the axes."""
 
     path: str  # in the store; empty for a plain array
     array: Any
@@ -60,9 +60,9 @@ class StoredImage:
     version: str  # of the OME-Zarr metadata: "0.4", "0.5" or "0.6"; empty for a plain array
     axes: tuple[StoredAxis, ...]  # in array order
     levels: tuple[Level, ...]  # the finest first
-    spatial: tuple[int, ...]  # the axes of space: the last two or three; those before are carried along
+    spatial: tuple[int, ...]  # indices of the axes of space, the last two or three; all others are carried along
     name: str = ""
-    attributes: Mapping[str, Any] = field(default_factory=dict)  # of the group or the array, with all of OME-Zarr's
+    attributes: Mapping[str, Any] = field(default_factory=dict)  # of the group or the array, including OME-Zarr's
     labels: tuple[str, ...] = ()  # the names of the label images that lie in its group
 
     @property
@@ -90,8 +90,8 @@ class StoredImage:
     def grid(self) -> Grid:
         """The grid of the finest level: in millimetres if the axes have lengths as units, else in pixels.
 
-        As the fields of OME-Zarr, positions are by the names of the axes if these are x, y, z, and turned to LPS if all
-        axes have an anatomical orientation.
+        As for fields in OME-Zarr, axes named x, y, z give positions along x, y, z; if all axes have an anatomical
+        orientation, positions are in LPS.
         """
         one, axes = self.levels[0], [self.axes[axis] for axis in self.spatial]
         shape = [one.array.shape[axis] for axis in self.spatial]
@@ -114,10 +114,10 @@ class StoredImage:
 def open_image(address: PathLike, *, ndim: int | None = None) -> StoredImage:
     """Open a Zarr array, or the first OME-Zarr image of version 0.4, 0.5 or 0.6 in a group, for reading.
 
-    The address is a folder, or one that fsspec knows (``s3://``, ``gs://``, ``https://``, ``memory://``, ``file://``),
-    of Zarr format 2 or 3. ``ndim`` is the number of axes of space, the last ones: by default, those that an OME-Zarr
-    image describes; of a plain array, all up to three. SuppleError if there is no such store, it holds no image, or one
-    that cannot be read, or it is an unfinished output.
+    The address is a folder or a URL of fsspec (``s3://``, ``gs://``, ``https://``, ``memory://``, ``file://``), in Zarr
+    format 2 or 3. ``ndim`` is the number of axes of space, the last ones: by default, as in the metadata of OME-Zarr,
+    or up to three of a plain array. SuppleError if there is no such store; if it holds no image, or an unreadable one;
+    or if it is an unfinished output.
     """
     place = Place(address)
     place.check_finished()
@@ -128,7 +128,7 @@ def open_image(address: PathLike, *, ndim: int | None = None) -> StoredImage:
 
 
 def described(place: Place, node: Any, ndim: int | None) -> StoredImage:
-    """Return the image of an array or a group that is open."""
+    """Return the image in an open array or group."""
     attributes = dict(node.attrs)
     with parsing(place.unreadable):
         if hasattr(node, "shape"):
@@ -137,13 +137,13 @@ def described(place: Place, node: Any, ndim: int | None) -> StoredImage:
             image = _multiscale(place, node, attributes, ndim)
         else:
             names: list[str] = []
-            with quiet(), contextlib.suppress(Exception):  # not every server lists
+            with quiet(), contextlib.suppress(Exception):  # not every server can list keys
                 names = sorted(node.keys())
             if not names:
                 raise place.unreadable("it is a group without an image", "give an OME-Zarr image or an array")
             what = f"it is a group without an image, and holds {listing(names, _MOST)}"
             raise place.unreadable(what, f"give one of them, as {place.address.rstrip('/')}/{names[0]}")
-        _ = image.grid  # it raises for units that are no lengths
+        _ = image.grid  # raises for units that are not lengths
     return image
 
 
@@ -204,7 +204,7 @@ def _multiscale(place: Place, group: Any, attributes: Json, ndim: int | None) ->
 
 
 def _axes(image: Json, error: Refusal) -> tuple[StoredAxis, ...]:
-    """Return the axes: times and channels, if any, before two or three axes of space."""
+    """Return the axes: time and channel, if any, before two or three axes of space."""
     if systems := image.get("coordinateSystems"):
         end = image["datasets"][0]["coordinateTransformations"][0].get("output")
         name = end.get("name") if isinstance(end, Mapping) else end
@@ -261,7 +261,7 @@ def _labels(place: Place, group: Any) -> tuple[str, ...]:
             listed = ome_of(dict(group[LABELS].attrs)).get(LABELS)
     except KeyError:
         return ()
-    except Exception as error:  # damaged, or not to be reached: the image itself can be read
+    except Exception as error:  # damaged or unreachable: only a warning, as the image itself can be read
         what = f"the label images of {place.address} cannot be listed ({said(error)})"
         warnings.warn(what, VolumeWarning, stacklevel=6)
         return ()

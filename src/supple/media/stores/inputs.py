@@ -1,4 +1,4 @@
-"""Files that are no stores: their samples, read in parts, and the OME-Zarr images that are made of them."""
+"""Inputs that are not Zarr stores: their samples, read in parts, and the OME-Zarr images that they are converted to."""
 
 from __future__ import annotations
 
@@ -23,34 +23,34 @@ from supple.media.volume import RawLayout, pages
 from supple.media.volume.data import rescaled, rescaled_dtype
 from supple.space.geometry import Geometry, check_upright
 
-_CHUNK = {2: 512, 3: 64}  # the side of a chunk, of so many axes of space
+_CHUNK = {2: 512, 3: 64}  # the side of a chunk, by the number of axes of space
 _SHARD = 1 << 25  # bytes
-_SHARDS = 16  # at least, so that there is work for all
-_COARSEST = 256  # samples along each axis, at most
-_MICROSCOPIC = 0.01  # millimetres
+_SHARDS = 16  # at least, so that all workers have work
+_COARSEST = 256  # samples along each axis, at most, in the coarsest level
+_MICROSCOPIC = 0.01  # millimetres: finer spacings are written in micrometres
 _KINDS = {"t": "time", "c": "channel"}
 _TIFF = (*pages.SUFFIXES, ".btf")
 _OPACITY, _PALETTE, _WHITE_IS_ZERO, _YCBCR, _JPEGS = (1, 2), 3, 0, 6, (6, 7, 33003, 33005, 34712)
 
 
 class _Opened(NamedTuple):
-    array: Any  # it is sliced
-    order: Sequence[int]  # for each of the axes, that of the array
+    array: Any  # supports slicing
+    order: Sequence[int]  # for each axis of `Samples`, the axis of the array
     close: Callable[[], None] = lambda: None
 
 
 class Samples:
-    """The samples of a file, a volume or a picture: a part of them is read when it is sliced.
+    """The samples of a volume or a picture in a file, which are read when they are sliced.
 
-    Of uncompressed NIfTI and raw files, and of TIFFs, parts are read; others are held in memory, from the first part
-    on. Other processes are sent the name of the file, which each opens. SuppleError if the file cannot be read, or
-    holds what a store does not.
+    Uncompressed NIfTI, raw files and TIFFs are read in parts; other files are read as a whole at the first slice, and
+    stay in memory. Pickling keeps only the file's name, and each process opens the file. SuppleError if the file
+    cannot be read, or its contents cannot be stored.
     """
 
-    axes: str  # their names, some of "tczyx" in this order
+    axes: str  # the names of the axes, some of "tczyx" in this order
     shape: tuple[int, ...]
     dtype: np.dtype[Any]
-    chunks: tuple[int, ...] | None = None  # of what is decoded as a whole; None of what is mapped or in memory
+    chunks: tuple[int, ...] | None = None  # the blocks that are decoded as a whole; None if mapped or in memory
     geometry: Geometry | None = None
     interval: float | None = None  # seconds from a time to the next, if they are known
 
@@ -84,19 +84,19 @@ class Samples:
             self.dtype = np.dtype(str(facts["dtype"]))
 
     def __getstate__(self) -> dict[str, Any]:
-        """Leave out the file, which is opened again."""
+        """Return the state without the open file, which is opened again after unpickling."""
         state = {name: value for name, value in self.__dict__.items() if name not in ("_opened", "_lock")}
         return {**state, "_path": os.path.abspath(self._path)}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        """Be closed; the file is opened when a part is asked for."""
+        """Restore the state with the file closed; the first slice opens it."""
         self.__dict__.update(state, _opened=None, _lock=threading.Lock())
 
     def __getitem__(self, key: tuple[slice, ...]) -> Array:
         """Return a part, for slices without steps along all axes."""
         with self._lock:
             if self._opened is None:
-                with warnings.catch_warnings():  # they were given when its header was read
+                with warnings.catch_warnings():  # already issued when the header was read
                     warnings.simplefilter("ignore")
                     self._opened = self._open()
             array, order, _ = self._opened
@@ -104,7 +104,7 @@ class Samples:
         for axis, part in zip(order, key, strict=True):
             stored[axis] = part
         found = np.asarray(array[tuple(stored)])
-        rest = [axis for axis in range(found.ndim) if axis not in order]  # of one sample
+        rest = [axis for axis in range(found.ndim) if axis not in order]  # axes of length 1
         found = found.transpose(*order, *rest).reshape([found.shape[axis] for axis in order])
         return rescaled(found.astype(found.dtype.newbyteorder("="), copy=False), self._scaling)
 
@@ -168,7 +168,7 @@ def _with_opacity(path: str) -> SuppleError:
 
 
 def _check_kind(path: str, first: Any, page: Any) -> None:
-    """Raise SuppleError for samples that are no numbers of a channel."""
+    """Raise SuppleError for samples that are not numbers of a channel, such as a palette's indices."""
     if "S" in first.axes and any(int(kind) in _OPACITY for kind in page.extrasamples):
         raise _with_opacity(path)
     coded = page.photometric in (_PALETTE, _WHITE_IS_ZERO) or (
@@ -182,12 +182,12 @@ def _check_kind(path: str, first: Any, page: Any) -> None:
 
 
 def like_file(path: PathLike, samples: Samples, *, ndim: int | None = None) -> StoredImage:
-    """Return the image of OME-Zarr 0.5 that a file becomes; its arrays are empty. ``ndim`` is as in `open_image`.
+    """Return the OME-Zarr 0.5 image that a file is converted to, with empty arrays; ``ndim`` is as in `open_image`.
 
-    Axes of space are in millimetres, or in micrometres if these are small; without a unit if the file has no spacing.
-    Axes along those of a patient say so; oblique ones are a VolumeWarning, as levels have a scale and a translation
-    alone. Each level is half of the one before, along the axes whose samples are dense. Shards cover what the file
-    decodes as a whole.
+    Axes of space are in millimetres, in micrometres for small spacings, or without a unit if the file has no spacing.
+    Axes along a patient's get an anatomical orientation; oblique ones cause a VolumeWarning, as levels have only a
+    scale and a translation. Each level is half as large as the one before, along the axes of finest spacing. Shards
+    cover the blocks that the file decodes as a whole.
     """
     import zarr
     from zarr.storage import MemoryStore
@@ -255,7 +255,7 @@ def _placed(path: PathLike, samples: Samples) -> tuple[list[dict[str, Any]], lis
 def _levels(
     shape: tuple[int, ...], scale: Sequence[float], carried: int
 ) -> list[tuple[tuple[int, ...], tuple[int, ...]]]:
-    """Return the shape of each level, and by how much it is smaller than the finest along each axis."""
+    """Return the shape of each level, and the factor along each axis by which it is smaller than the finest."""
     factor = (1,) * len(shape)
     levels = [(shape, factor)]
     while max(shape[carried:]) > _COARSEST:
@@ -273,8 +273,8 @@ def _blocks(
 ) -> tuple[tuple[int, ...], tuple[int, ...]]:
     """Return the shapes of a chunk and of a shard.
 
-    A shard is as large as what the file decodes as a whole, so that nothing is decoded for many of them; thin where
-    that is a page.
+    A shard covers whole blocks of the file's coding (``decoded``), so that none is decoded for many shards; if that is
+    a page, shards are thin.
     """
     n = len(shape) - carried
     whole = decoded or (1,) * len(shape)
@@ -292,7 +292,7 @@ def _blocks(
 
 
 def grow(sizes: list[int], shape: Sequence[int], axes: Sequence[int], most: float, wider: Callable[[int], int]) -> None:
-    """Enlarge a block of a shape along some axes, the shortest first, while it has no more than so many samples.
+    """Enlarge a block of ``sizes`` in place along some axes, the shortest first, up to ``most`` samples.
 
     ``wider`` returns the next size along an axis.
     """

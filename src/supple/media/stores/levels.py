@@ -1,4 +1,4 @@
-"""Levels of an output like a stored image: their shapes, places and metadata, and samples that are made smaller."""
+"""Levels of an output like a stored image: their shapes, transformations and metadata, and downsampling."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ def planned(
     scale: Sequence[float] | None,
     translation: Sequence[float] | None,
 ) -> tuple[dict[str, bytes], tuple[str, ...], list[tuple[int, ...]]]:
-    """Return what is to be written for an image, on its grid or on another one.
+    """Plan an output like a stored image, on its grid or on another one.
 
-    That is: all metadata, by their keys in the store; the paths of the arrays, the finest first; and for each level but
-    the finest, by how much each axis is smaller than that of the level before.
+    Return all metadata, by their keys in the store; the paths of the arrays, the finest first; and for each level but
+    the finest, the factor along each axis by which it is smaller than the level before.
     """
     finest = like.levels[0]
     before = tuple(finest.array.shape)
@@ -37,11 +37,11 @@ def planned(
     shapes = [whole]
     for fine, coarse in pairwise(like.levels):
         factors = tuple(_factor(fine, coarse, k) for k in range(len(like.axes)))
-        # an incomplete group of samples at the end is left out where the input has none
+        # the input decides whether an incomplete group of samples at the end is dropped
         axes = zip(shapes[-1], factors, coarse.array.shape, strict=True)
         after = tuple(own if whole == before and own == n // f else -(-n // f) for n, f, own in axes)
         if after == shapes[-1]:
-            break  # the grid is so small that this level would be the one before
+            break  # the grid is too small for another level
         shapes.append(after)
         steps.append(factors)
     levels = like.levels[: len(shapes)]
@@ -63,8 +63,8 @@ def planned(
 
 
 def _factor(fine: Level, coarse: Level, k: int) -> int:
-    # The scale is asked first, since the sizes of short axes allow several factors. Some programs write the ratio of
-    # the sizes there (2.002), and some the same scale for all levels: then the sizes decide.
+    # The scales come first, as the sizes of short axes allow several factors. Some programs write the ratio of sizes
+    # as the scale (2.002), and some the same scale for all levels: then the sizes decide.
     before, after = fine.array.shape[k], coarse.array.shape[k]
     factor = max(1, round(coarse.scale[k] / fine.scale[k]))
     return factor if after in (before // factor, -(-before // factor)) else max(1, round(before / after))
@@ -73,17 +73,17 @@ def _factor(fine: Level, coarse: Level, k: int) -> int:
 def _placed(
     like: StoredImage, scale: Sequence[float], translation: Sequence[float], steps: Sequence[Sequence[int]]
 ) -> list[tuple[list[float], list[float]]]:
-    """Return the scales and translations of the levels of another grid, by the convention of the image.
+    """Return the scales and translations of the levels on another grid, in the convention of ``like``.
 
-    The mean of f samples lies (f - 1) / 2 of them from the first. Most programs write that in the translation of a
-    level, some the same translation for all of them: what ``like`` does for an axis is done.
+    The mean of f samples lies (f - 1) / 2 samples after the first. Most programs include this in the translation of a
+    level, others write the same translation for all levels: for each axis, ``like`` decides.
     """
     first, scales = like.levels[0], np.array(scale, float)
     factors = np.ones(len(like.axes))
     placed = [(scales.tolist(), list(map(float, translation)))]
     for level, step in zip(like.levels[1:], steps, strict=False):
         factors = factors * step
-        offset = np.round((np.array(level.translation) - first.translation) / first.scale, 3)  # without noise
+        offset = np.round((np.array(level.translation) - first.translation) / first.scale, 3)  # rounding errors removed
         placed.append(((scales * factors).tolist(), (np.array(translation) + offset * scales).tolist()))
     return placed
 
@@ -91,22 +91,22 @@ def _placed(
 def _attributes(
     like: StoredImage, placed: Sequence[tuple[list[float], list[float]]] | None, count: int
 ) -> dict[str, Any]:
-    """Return the attributes of the group, as those of the input, with the levels where ``placed`` has them."""
+    """Return the input's attributes for the group, with the scales and translations of levels from ``placed``."""
     ome = dict(ome_of(like.attributes))
     image = dict(ome["multiscales"][0])
     if count > 1:
-        # they say how the levels of the input were made, and those of the output are made otherwise
+        # they describe how the input's levels were computed, not the output's
         image.pop("type", None)
         image.pop("metadata", None)
     image["datasets"] = [dict(one) for one in image["datasets"][:count]]
     if placed is not None:
         if like.version != "0.6":
-            image.pop("coordinateTransformations", None)  # they are part of each level's own
+            image.pop("coordinateTransformations", None)  # included in each level's
         for dataset, (scale, translation) in zip(image["datasets"], placed, strict=True):
             steps: list[dict[str, Any]] = [{"type": "scale", "scale": scale}]
             if any(translation):
                 steps.append({"type": "translation", "translation": translation})
-            if like.version == "0.6":  # one, which names its ends as the input's does
+            if like.version == "0.6":  # a single one, with the input's names of coordinate systems
                 old = dataset["coordinateTransformations"][0]
                 one = steps[0] if len(steps) == 1 else {"type": "sequence", "transformations": steps}
                 steps = [{**one, **{end: old[end] for end in ("input", "output", "name") if end in old}}]
@@ -135,10 +135,10 @@ def _array(metadata: Any, path: str, shape: tuple[int, ...]) -> dict[str, bytes]
 
 
 def reduced(values: Array, factors: Sequence[int], mode: Mode) -> Array:
-    """Return an array made smaller by whole factors, one for each axis, of the same dtype.
+    """Downsample an array by integer factors, one for each axis; the dtype is kept.
 
-    It is the mean of each group, rounded half to even for integers, or with "nearest" its first sample, for labels.
-    Where a factor does not divide the size, the last group has fewer samples.
+    The result is the mean of each group, rounded half to even for integers; or, with "nearest" (for labels), the first
+    sample of the group. Where a factor does not divide the size, the last group has fewer samples.
     """
     if mode == "nearest":
         return np.ascontiguousarray(values[tuple(slice(None, None, factor) for factor in factors)])
@@ -162,12 +162,12 @@ def _mean(values: Array, counts: tuple[int, ...]) -> Array:
     groups = [values[tuple(map(slice, first, [None] * len(first), counts))] for first in np.ndindex(*counts)]
     n, dtype = len(groups), values.dtype
     if dtype.kind == "f" or dtype.itemsize < 8:
-        total = np.zeros(groups[0].shape, np.float64)  # which sums integers of 32 bits exactly
+        total = np.zeros(groups[0].shape, np.float64)  # sums 32-bit integers exactly
         for one in groups:
             total += one
         total /= n
         return np.asarray((total if dtype.kind == "f" else np.rint(total)).astype(dtype))
-    # sums of 64 bits would overflow: quotients and remainders do not
+    # sums of 64-bit integers would overflow; sums of quotients and remainders do not
     whole, rest = np.zeros(groups[0].shape, dtype), np.zeros(groups[0].shape, dtype)
     for one in groups:
         quotient, remainder = np.divmod(one, dtype.type(n))

@@ -1,4 +1,4 @@
-"""Where Zarr stores lie: folders and addresses of fsspec, opened, and their errors in one sentence."""
+"""Locations of Zarr stores, folders or URLs of fsspec: opening them, and converting their errors to one sentence."""
 
 from __future__ import annotations
 
@@ -16,23 +16,23 @@ from supple.media.files import PathLike, _refused, is_store, protocol_of, unread
 from supple.media.transforms.ngff import imported
 
 MARKER = "supple.json"
-"""The file in the root of an output that is being written."""
+"""The file that marks the root of an unfinished output."""
 _WHAT = "Zarr stores"
 _SPELLINGS = {"s3a": "s3", "gcs": "gs", "abfss": "abfs", "az": "abfs"}
-"""Protocols that have several names."""
+"""Other names of protocols."""
 _ATOMIC = {"s3", "gs", "abfs", "oci", "memory"}
-"""Protocols of stores in which an object appears whole or not at all."""
+"""Protocols whose stores write an object whole or not at all."""
 _CLIENTS = {"adlfs", "aiobotocore", "aiohttp", "azure", "botocore", "fsspec", "gcsfs", "google", "ocifs", "paramiko"}
-"""Packages whose errors are no OSErrors, and say that a store was not reached."""
+"""Packages whose errors mean that a store is unreachable, but are not OSErrors."""
 _PATIENCE = 10  # seconds
-_SETTLING = "supple waits for zarr"  # by this name, two that wait do not wait for each other
+_SETTLING = "supple waits for zarr"  # a task name, by which waiting tasks do not wait for each other
 
 
 class Place:
-    """A folder, or an address of fsspec, that holds a Zarr store or will.
+    """The location of a Zarr store, existing or future: a folder, or a URL of fsspec.
 
-    ``folder`` is where it lies in the local file system, None elsewhere; ``parts`` where it lies, from the root on,
-    without links: the same for all spellings of an address. ``atomic`` is whether what is written there appears whole
+    ``folder`` is its path in the local file system, None elsewhere; ``parts`` are the parts of its path from the root
+    on, with links resolved, and equal for all spellings of an address. ``atomic`` is true if objects are written whole
     or not at all.
     """
 
@@ -60,7 +60,7 @@ class Place:
             self.atomic = "::" not in self.address and root in _ATOMIC
 
     def store(self, *, read_only: bool) -> Any:
-        """Return the store, of a class of zarr's."""
+        """Return a zarr store: a LocalStore for a folder, else an FsspecStore."""
         from zarr.storage import FsspecStore, LocalStore
 
         if self.folder is not None:
@@ -82,7 +82,7 @@ class Place:
         return unwritable(self.address, reason, advice)
 
     def open(self) -> Any:
-        """Return the array or group, for reading."""
+        """Open the array or group for reading, and return it."""
         import zarr
         from zarr.errors import NodeNotFoundError
 
@@ -137,7 +137,7 @@ class Place:
 
     def marker(self) -> dict[str, Any]:
         """Return the content of the marker in the root; empty if there is none of Supple's."""
-        with contextlib.suppress(Exception):  # a store that cannot be reached is reported when it is opened itself
+        with contextlib.suppress(Exception):  # an unreachable store is reported when it is opened
             store = self.store(read_only=True)
             refresh(store)
             content = json.loads(read(store, MARKER) or b"{}")
@@ -152,9 +152,9 @@ class Place:
 
 
 def overlap(address: PathLike, other: PathLike) -> Literal["", "same", "inside", "around"]:
-    """Return how an output lies to something else, a store or a file; empty if they have nothing in common.
+    """Return where an output lies relative to another store or file; empty if they do not overlap.
 
-    A folder that is no store, such as that of a series of slices, may hold outputs.
+    A folder that is not a store, such as that of a series of slices, may contain outputs.
     """
     here, there = Place(address).parts, Place(other).parts
     if here == there:
@@ -165,21 +165,21 @@ def overlap(address: PathLike, other: PathLike) -> Literal["", "same", "inside",
 
 
 def run(work: Coroutine[Any, Any, Any]) -> Any:
-    """Return what a coroutine of a store returns."""
+    """Run a coroutine of a store, and return its result."""
     from zarr.core.sync import sync
 
     return sync(work)
 
 
 def refresh(store: Any) -> None:
-    """Forget what a client of fsspec has listed: other processes write as well."""
+    """Clear the cached listings of fsspec's client, as other processes write as well."""
     client = getattr(store, "fs", None)
     if client is not None:
         client.invalidate_cache()
 
 
 def read(store: Any, key: str) -> bytes | None:
-    """Return what a store holds for a key; None if there is nothing."""
+    """Return the bytes that a store holds for a key; None if the key is missing."""
     from zarr.core.buffer import default_buffer_prototype
 
     found = run(store.get(key, prototype=default_buffer_prototype()))
@@ -194,7 +194,7 @@ def put(store: Any, key: str, data: bytes) -> None:
 
 
 def _settle() -> None:
-    """Wait for chunks that were written beside one that failed: else Python reports them when it ends."""
+    """Wait for writes that run in parallel to a failed one; otherwise Python reports them at exit."""
 
     async def waited() -> None:
         own = asyncio.current_task()
@@ -209,7 +209,7 @@ def _settle() -> None:
 
 @contextlib.contextmanager
 def quiet() -> Iterator[None]:
-    """Leave out warnings about codecs and names that the specification does not have: they were chosen by others."""
+    """Suppress warnings about codecs and names outside the specification, which the input has chosen."""
     from zarr.errors import UnstableSpecificationWarning, ZarrUserWarning
 
     with warnings.catch_warnings():

@@ -1,7 +1,7 @@
-"""Outputs in Zarr stores that many processes write block by block, and that go on where they were interrupted.
+"""Zarr outputs that many processes write block by block, and that can be resumed after an interruption.
 
-A folder ``NAME`` is written as ``NAME.partial`` and gets its name when it is finished. At an address, objects are
-written in place. In both, a file ``supple.json`` names the job until then.
+A folder ``NAME`` is written as ``NAME.partial``, and renamed when it is finished. At a URL, objects are written in
+place. Until then, a file ``supple.json`` in it identifies the job.
 """
 
 from __future__ import annotations
@@ -30,21 +30,21 @@ from supple.media.stores.levels import Mode, group_files, planned, reduced
 from supple.media.stores.places import MARKER, Place, overlap, put, quiet, read, refresh, run
 
 Box = Sequence[tuple[int, int]]
-"""The first sample and the one after the last, along each axis."""
+"""A box of samples: the first index and the one after the last, along each axis."""
 Item = TypeVar("Item")
 
 LOCK = "supple.lock"
-"""The file by which a process holds a folder that it writes."""
-_AT_ONCE = 16  # requests
+"""The file by which a process locks an output folder."""
+_AT_ONCE = 16  # concurrent requests
 _LEFT_OVER = f"*.{'[0-9a-f]' * 32}.partial"  # files of zarr's local store, where a writer was killed
 _HOLDS: ContextVar[contextlib.ExitStack | None] = ContextVar("holds", default=None)
 
 
 @contextlib.contextmanager
 def holding() -> Iterator[None]:
-    """Keep other processes from the folders of outputs that are created within, until it ends.
+    """Keep the folders of outputs that are created in this block locked for other processes until it ends.
 
-    There are no locks at addresses, on Windows, and on disks without them.
+    URLs, Windows and file systems without locks are not supported: nothing is locked there.
     """
     with contextlib.ExitStack() as stack:
         token = _HOLDS.set(stack)
@@ -64,18 +64,18 @@ def create(
     force: bool = False,
     job: str,
 ) -> Target:
-    """Create an output like a stored image, or go on with one that was interrupted.
+    """Create an output like a stored image, or resume one that was interrupted.
 
-    It has the same Zarr format, axes, units, chunks, shards, codecs, fill value, attributes and levels as ``like``. The
-    finest level has its shape along the axes of space, and its scale and translation for all axes, unless others are
-    given; coarser levels have the same factors, as long as they become smaller, and the same convention of translations
-    (those of the means, or that of the finest). ``job`` identifies the work: an unfinished output of the same job is
-    continued, with ``force`` too, which replaces an existing Zarr store, and an unfinished output of another job; where
-    an output is a folder, the old one stays until the new one is finished.
+    It has the same Zarr format, axes, units, chunks, shards, codecs, fill value, attributes and levels as ``like``. For
+    the finest level, ``shape`` (along the axes of space), ``scale`` and ``translation`` (along all axes) may differ;
+    coarser levels have the same factors, as long as they become smaller, and the same convention of translations (of
+    the means, or that of the finest level). ``job`` identifies the work: an unfinished output of the same job is always
+    resumed. ``force`` replaces an existing Zarr store, and an unfinished output of another job; an old folder stays
+    until the new one is finished.
     """
     place = Place(address)
     relation = overlap(address, like.address)
-    if relation and (relation != "same" or place.folder is None):  # a folder is replaced when the output is finished
+    if relation and (relation != "same" or place.folder is None):  # folders are replaced at the end
         what = {"same": "it is the input too", "inside": "it lies in the input", "around": "the input lies in it"}
         raise place.unwritable(what[relation], "choose another place")
     files, paths, steps = planned(like, shape, scale, translation)
@@ -86,11 +86,11 @@ def create_arrays(
     address: PathLike, files: dict[str, bytes], paths: Sequence[str], steps: Sequence[tuple[int, ...]] = (),
     carried: int = 1, *, force: bool = False, job: str,
 ) -> Target:  # fmt: skip
-    """Create an output of prepared metadata, or go on with one that was interrupted, as `create` does.
+    """Create an output from prepared metadata, or resume one that was interrupted, as `create` does.
 
-    ``files`` are all metadata, by their keys; ``paths`` the arrays, which become the levels; ``steps`` by how much each
-    axis of a level but the first is smaller than that of the one before; ``carried`` the number of axes before those of
-    space.
+    ``files`` are all metadata, by their keys; ``paths`` are those of the arrays, which become the levels; ``steps`` are
+    the factors along each axis by which a level is smaller than the one before, without the first level; ``carried`` is
+    the number of axes before those of space.
     """
     import zarr
 
@@ -110,7 +110,7 @@ def create_arrays(
 
 
 def check_free(address: PathLike, files: dict[str, bytes], job: str, force: bool) -> None:
-    """Raise SuppleError, before any work, for an output of prepared metadata whose place cannot be taken."""
+    """Raise SuppleError, before any work, if an output with these metadata cannot be created at an address."""
     place = Place(address)
     with place.writing():
         _look(place, _named(job, files), force)
@@ -126,30 +126,30 @@ def _mark(store: Any, job: str, state: str = "unfinished") -> None:
 
 
 def _claim(place: Place, job: str, force: bool) -> tuple[Place, bool]:
-    """Take the place of an output; return where it is written, and whether the same job has begun it already."""
+    """Claim the location of an output; return where it is written, and whether it resumes the same job."""
     site, begun = _look(place, job, force)
     folder = site.folder
     if folder is not None:
         _hold(place, folder)
-        try:  # once more, since another process may have had it until now
+        try:  # checked again, as another process may have held the folder until now
             site, begun = _look(place, job, force)
         except SuppleError:
-            with contextlib.suppress(OSError):  # it is not empty
+            with contextlib.suppress(OSError):  # the folder is not empty
                 os.unlink(folder / LOCK)
                 os.rmdir(folder)
             raise
     if not begun:
         store = site.store(read_only=False)
-        _mark(store, "")  # if clearing is interrupted, what is left is of no job
+        _mark(store, "")  # no job, so that an interrupted clearing is never resumed
         _clear(site, store)
         _mark(store, job)
     return site, begun
 
 
 def _look(place: Place, job: str, force: bool) -> tuple[Place, bool]:
-    """Return where an output is written, and whether the same job has begun it, so that it can be continued.
+    """Return where an output is written, and whether the same job has begun it, so that it can be resumed.
 
-    SuppleError if something else is there that is not to be replaced.
+    SuppleError if something else is there that may not be replaced.
     """
     site = place
     if place.folder is not None:
@@ -157,13 +157,13 @@ def _look(place: Place, job: str, force: bool) -> tuple[Place, bool]:
         site = Place(target.with_name(f"{target.name}.partial"))
     if marker := site.marker():
         if marker["job"] == job:
-            return site, site.atomic  # where an object may be incomplete, it begins anew
+            return site, site.atomic  # starts anew where objects may be incomplete
         if not force:
             name = "it" if site.folder is None else shown(site.folder.name)
             what = f"{name} is the unfinished output of another job"
             raise place.unwritable(what, f"choose another name, or {argument('force', True)}, which starts anew")
     elif site.folder is not None:
-        # killed before the marker was there, a process left nothing else
+        # a process that was killed before it wrote the marker has left nothing but "supple." files
         there = os.path.lexists(site.folder)
         if there and not (site.folder.is_dir() and all(name.startswith("supple.") for name in os.listdir(site.folder))):
             what = f"{shown(site.folder.name)} beside it is in the way, and no unfinished output of Supple"
@@ -171,7 +171,7 @@ def _look(place: Place, job: str, force: bool) -> tuple[Place, bool]:
     else:
         store = site.store(read_only=True)
         zarr = any(read(store, name) is not None for name in ROOTS)
-        if zarr or not run(store.is_empty("")):  # which may list all that is there
+        if zarr or not run(store.is_empty("")):  # is_empty may list all keys
             if not force:
                 text = f"{shown(place.address)} exists already: choose another name, or {argument('force', True)}"
                 raise SuppleError(text)
@@ -184,8 +184,8 @@ def _hold(place: Place, folder: Path) -> None:
     """Make a folder, and lock it within `holding`; SuppleError if another process has locked it."""
     folder.mkdir(exist_ok=True)
     stack = _HOLDS.get()
-    while stack is not None and sys.platform != "win32":  # where a folder with an open file cannot be renamed
-        with contextlib.suppress(FileNotFoundError):  # another process has just finished: that folder has its name
+    while stack is not None and sys.platform != "win32":  # Windows cannot rename a folder with an open file
+        with contextlib.suppress(FileNotFoundError):  # another process has just finished and renamed the folder
             if (file := locked(folder / LOCK)) is None:
                 what = "it is being written by another process"
                 raise place.unwritable(what, "wait until that has ended, or choose another name")
@@ -196,7 +196,7 @@ def _hold(place: Place, folder: Path) -> None:
 
 
 def _clear(site: Place, store: Any) -> None:
-    async def clear() -> None:  # a client removes many objects of a folder at a time
+    async def clear() -> None:  # clients remove the objects of a folder in batches
         for name in [name.strip("/") async for name in store.list_dir("")]:
             if name not in ("", MARKER):
                 await store.delete_dir(name)
@@ -212,21 +212,21 @@ def _clear(site: Place, store: Any) -> None:
 
 
 class Target:
-    """An output that is being written: each process writes blocks of its own.
+    """An output that is being written; each process writes different blocks.
 
     Attributes
     ----------
     address : str
-        As it was given.
+        The address as given.
     site : Place
-        Where it is written until it is finished.
+        The location where it is written until it is finished.
     arrays : tuple of zarr.Array
-        The levels, the finest first. Each chunk that is written is stored, also if it holds nothing but the fill value.
+        The levels, the finest first. Each written chunk is stored, even if all its samples are the fill value.
     blocks, factors : tuple of tuple of int
-        For each level, the shape of a shard, or of a chunk without shards, which processes may write independently; and
-        by how much each axis is smaller than that of the level before.
+        For each level, the shape of the blocks that processes may write independently, shards or else chunks; and the
+        factor along each axis by which it is smaller than the level before.
     begun : bool
-        Whether some of it may have been there: else no block has to be looked for.
+        Whether blocks may exist already; if not, `is_done` need not be called.
     """
 
     def __init__(
@@ -244,7 +244,7 @@ class Target:
         keys = self._keys(level, box, array)
         folder = self.site.folder
         if folder is not None:
-            # a file without content is what some file systems leave after a power failure
+            # some file systems leave empty files after a power failure
             try:
                 return all(os.stat(folder / key).st_size > 0 for key in keys)
             except OSError:
@@ -259,15 +259,15 @@ class Target:
             self.arrays[level][tuple(slice(a, b) for a, b in box)] = values
 
     def copy(self, level: int, box: Box, source: Any, address: PathLike) -> int:
-        """Copy an aligned box of a level of the image that it is like as it is compressed; return its bytes.
+        """Copy the compressed blocks of an aligned box from a level of the input image; return their bytes.
 
-        ``source`` is the array of that level, at ``address``. Blocks that it does not store are left out, as they hold
-        its fill value.
+        ``source`` is the array of that level, at ``address``. Blocks that it does not store are skipped, as they hold
+        the fill value.
         """
         from zarr.core.buffer import default_buffer_prototype
 
         array = self.arrays[level]
-        # all is read before any is written, so that each error is of its own side: a box is no more than a task's
+        # all blocks are read first, to tell errors of reading from those of writing; a box is small, one task's
         with Place(address).reading("its chunks cannot be read"):
             get = functools.partial(source.store.get, prototype=default_buffer_prototype())
             found = run(_each(get, self._keys(level, box, source)))
@@ -294,7 +294,7 @@ class Target:
         self.write(level, box, values)
 
     def put_labels(self, names: Sequence[str], version: str) -> None:
-        """Write the group of label images of an OME-Zarr image: its metadata alone."""
+        """Write the metadata of an OME-Zarr image's group of label images."""
         listed = {LABELS: list(names)}
         attributes = listed if version == "0.4" else {"ome": {"version": version, **listed}}
         with self._place.writing():
@@ -302,7 +302,7 @@ class Target:
                 put(self.site.store(read_only=False), key, data)
 
     def note(self, facts: dict[str, Any]) -> None:
-        """Add facts on the output, of Zarr format 3, to the attributes of its root, as ``supple``."""
+        """Add facts to the attributes of the root, as ``supple``; the output must be in Zarr format 3."""
         with self._place.writing():
             store = self.site.store(read_only=False)
             root = json.loads(read(store, "zarr.json") or b"{}")
@@ -310,10 +310,9 @@ class Target:
             put(store, "zarr.json", json.dumps(root, indent=2).encode())
 
     def finish(self, *others: Target) -> None:
-        """Make the output, and others with it, appear under their names. Call it once, when all is written.
+        """Finish the output, and others with it: folders get their final names. Call it once, when all is written.
 
-        SuppleError if another process has finished or replaced one of them. If a folder cannot be renamed, all are as
-        they were.
+        SuppleError if another process has finished or replaced one of them. If a folder cannot be renamed, none is.
         """
         moves: list[tuple[Path, Path, PathLike, Path]] = []
         for each in (self, *others):
@@ -324,7 +323,7 @@ class Target:
                 if (folder := each.site.folder) is not None:
                     for spare in folder.rglob(_LEFT_OVER) if each.begun else ():
                         spare.unlink()
-                    _mark(each.site.store(read_only=False), each._job, "complete")  # until the marker is removed
+                    _mark(each.site.store(read_only=False), each._job, "complete")  # in case removing the marker fails
                     target = check_store(folder.with_name(folder.name.removesuffix(".partial")), force=each._force)
                     moves.append((folder, target, each.address, target.with_name(f".{os.urandom(6).hex()}-old")))
         with self._place.writing():
@@ -346,7 +345,7 @@ class Target:
 
 
 async def _each(act: Callable[[Item], Awaitable[Any]], items: Iterable[Item]) -> list[Any]:
-    """Return what requests for several items return, of which some are made at a time."""
+    """Return the results of requests for several items, of which at most `_AT_ONCE` run at a time."""
     places = asyncio.Semaphore(_AT_ONCE)
 
     async def one(item: Item) -> Any:

@@ -1,7 +1,7 @@
 """Files of displacement fields and affine maps, in the conventions of the programs that use them.
 
-All hold pull maps: of a point of the output, the point of the input that is seen there. In memory, positions and
-displacements of volumes are in millimetres in LPS, those of pictures in pixels.
+In memory, all are pull maps: from a point of the output to its source point in the input. Positions and displacements
+are in millimetres in LPS for volumes, and in pixels for pictures.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ PUSH = "input point -> output point"
 
 
 class Form(NamedTuple):
-    """A kind of file of some programs: its suffixes, and how it is read and written."""
+    """A file format of a convention: its suffixes, and the functions that read and write it."""
 
     suffixes: tuple[str, ...]
     read: Callable[[PathLike, base.Grids], tuple[Content, ...]]
@@ -41,10 +41,10 @@ class Form(NamedTuple):
 
 
 class Convention(NamedTuple):
-    """The meaning of the numbers in files of some programs, and the kinds of their files.
+    """The meaning of the numbers in files of a program, and its file formats.
 
-    ``affine`` is the direction in which affine maps lead; fields are pull maps. ``forms`` are in order: the first is
-    that of files of other suffixes. ``written`` are ``holds``, ``space`` and ``units`` as written, if others.
+    ``affine`` is the direction of affine maps; fields are always pull maps. The first of ``forms`` is used for files
+    with other suffixes. ``written`` are ``holds``, ``space`` and ``units`` on writing, if they differ.
     """
 
     label: str
@@ -61,7 +61,7 @@ def _form(module: ModuleType, name: str, suffixes: tuple[str, ...]) -> Form:
 
 
 def _field(name: str, label: str, *more: str) -> Convention:
-    """Return a convention of fields in millimetres, in NIfTI files and those of more suffixes."""
+    """Return a convention of fields in millimetres, in NIfTI files and in files with the suffixes ``more``."""
     kind = fields.VECTORS[name]
     space = "FSL coordinates of the input image" if kind.space == "FSL" else kind.space
     forms = (_form(fields, name, (*fields.NIFTI, *more)),)
@@ -86,7 +86,7 @@ CONVENTIONS = {
     "mrtrix-displacement": _field("mrtrix-displacement", "MRtrix, displacement", *fields.MIF),
     "freesurfer": Convention(
         "FreeSurfer", _BOTH, "RAS", "mm",
-        # warps are only read
+        # warps cannot be written: this ``write`` is that of .lta
         (_LTA, _form(fields, "freesurfer", (*fields.MGZ, *fields.MORPHS))._replace(write=_LTA.write)), PUSH,
         ("positions", "RAS", "mm"),
     ),
@@ -105,17 +105,17 @@ CONVENTIONS = {
         (Form(pictures.STMAP, pictures.read_stmap, pictures.write_stmap),),
     ),
 }  # fmt: skip
-"""By their names: in memory, all are displacements in millimetres in LPS, or in pixels."""
+"""The conventions by name."""
 _SUFFIXES = tuple({suffix for row in CONVENTIONS.values() for form in row.forms for suffix in form.suffixes})
 _DOUBTFUL = dict.fromkeys((".npy", ".npz"), "a map of positions, as of OpenCV's")
 _DOUBTFUL |= dict.fromkeys((".tif", ".tiff", ".png"), "an STMap")
-"""Files that hold maps of one convention, and as often something else: the convention is given."""
+"""Suffixes of files that may hold a map or something else, so that the convention must be given."""
 _WARPS = (2006, 2018)  # intent codes of FNIRT and topup
 _COLOURS = (128, 2304)  # the datatypes RGB24 and RGBA32 of NIfTI
 
 
 def form_of(path: PathLike, convention: str) -> Form:
-    """Return the kind of a file in a convention; SuppleError if there is no such convention."""
+    """Return the format of a file in a convention; SuppleError if there is no such convention."""
     check_convention(convention)
     forms = CONVENTIONS[convention].forms
     suffix = base.suffix_of(path, _SUFFIXES)
@@ -123,18 +123,18 @@ def form_of(path: PathLike, convention: str) -> Form:
 
 
 def check_convention(convention: str, name: str = "convention") -> None:
-    """Raise SuppleError for an unknown convention; ``name`` is that of the argument."""
+    """Raise SuppleError for an unknown convention; ``name`` is the argument's name in the message."""
     if convention not in CONVENTIONS:
         raise SuppleError(f"{argument(name)} must be one of {', '.join(CONVENTIONS)}, found {shown(str(convention))}")
 
 
 def convention_of(path: PathLike) -> str:
-    """Return the convention of a file to write; SuppleError if its suffix is of more than one, or of none."""
+    """Return the convention of a file to write; SuppleError if its suffix has several conventions, or none."""
     return _only(path, _candidates(path, "write"), "its suffix does not say in which convention to write", "write")
 
 
 def convention_in(path: PathLike) -> str:
-    """Return the convention of a file; SuppleError if it may have more than one."""
+    """Return the convention of an existing file; SuppleError if several are possible."""
     names, what = _candidates(path, "read"), ""
     suffix = base.suffix_of(path, _SUFFIXES)
     if suffix in fields.NIFTI:
@@ -206,10 +206,10 @@ def read(
 ) -> tuple[Content, ...]:
     """Return the matrices and fields of a file, to apply in order to a point of the output.
 
-    The convention is one of `CONVENTIONS`; by default, what the name and the content of the file leave no doubt about.
-    FSL counts in the grid of the input (moving) image, the source; its affine maps also in that of the output (fixed)
-    image, the reference. SuppleError if the convention is unknown or in doubt, a grid that it needs is not given, or
-    the file holds no such map.
+    The convention is one of `CONVENTIONS`; by default, it is inferred from the name and the content of the file. FSL's
+    fields need the grid of the input (moving) image, ``source``; its affine maps also that of the output (fixed) image,
+    ``reference``. SuppleError if the convention is unknown or ambiguous, a grid is missing that it needs, or the file
+    holds no such map.
     """
     name = convention_in(path) if convention is None else convention
     form, what = form_of(path, name), f"it is damaged, or no file of the convention {name}"
@@ -232,9 +232,9 @@ def write(
 ) -> None:
     """Write maps to a file, which appears whole or not at all.
 
-    Arguments are as in `read`; by default, the convention is that of the suffix, if only one has it. Only ``.h5``,
-    ``.tfm`` and ``.zarr`` hold more than one map. What a field does beyond its grid is not written: the program that
-    reads it decides. SuppleError if the convention cannot hold these maps, or the file cannot be written.
+    Arguments are as in `read`; by default, the convention is the only one of the suffix. Only ``.h5``, ``.tfm`` and
+    ``.zarr`` hold more than one map. The continuation of a field beyond its grid is not stored: the reading program
+    decides. SuppleError if the convention cannot hold these maps, or the file cannot be written.
     """
     name = convention_of(path) if convention is None else convention
     form_of(path, name).write(path, contents, base.Grids(source, reference), force=force)

@@ -13,15 +13,15 @@ from supple.media.files import PathLike, head_of, replacing, unreadable, unwrita
 from supple.media.transforms import base
 
 SUFFIXES = (".mat", ".txt")
-"""Of FLIRT; ITK has transforms of these suffixes too."""
+"""The suffixes of FLIRT's files; ITK's transforms use them too."""
 _MOST = 1 << 20  # bytes
-_VOXELS, _RAS = "0", "1"  # types of .lta
+_VOXELS, _RAS = "0", "1"  # values of "type" in .lta
 
 
 def read(path: PathLike, grids: base.Grids, *, convention: str) -> tuple[base.Content, ...]:
-    """Read an affine map; FLIRT's needs the grids of the source and of the reference.
+    """Read an affine map as a pull map; FLIRT's needs the grids of the source and of the reference.
 
-    Those of FLIRT and FreeSurfer lead from the source to the reference.
+    Files of FLIRT and FreeSurfer hold push maps, from the source to the reference.
     """
     if convention == "afni":
         base.check_plumb(path, grids)
@@ -67,7 +67,7 @@ def write(
 
 
 def spelled(numbers: npt.ArrayLike) -> str:
-    """Return numbers that read back as they are."""
+    """Return numbers as text that reads back exactly."""
     return " ".join(repr(x) for x in np.asarray(numbers, np.float64).ravel().tolist())
 
 
@@ -94,7 +94,7 @@ def _lta(path: PathLike, lines: Sequence[str]) -> base.Matrix:
 
 
 def _volume(lines: Sequence[str], which: str) -> base.Matrix:
-    """Return the matrix from the indices of a volume to RAS, as the file describes it; KeyError if it does not."""
+    """Return the matrix from indices to RAS of a volume described in the file; KeyError if it is not."""
     first = next((i for i, line in enumerate(lines) if line.startswith(f"{which} volume info")), len(lines))
     pairs = [line.partition("=") for line in lines[first + 1 : first + 9]]
     told = {key.strip(): text.split() for key, _, text in pairs}

@@ -1,4 +1,4 @@
-"""Contents of files of transforms, and functions shared by their readers and writers."""
+"""Types for the contents of transform files, and functions shared by their readers and writers."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ Matrix = npt.NDArray[np.float64]
 Interpolation = Literal["linear", "cubic", "bspline"]
 
 LPS = TO_RAS
-"""From positions and displacements in RAS to those in LPS, and back."""
+"""The matrix from RAS to LPS, and back, for positions and displacements."""
 FINITE = "give a field that is finite everywhere"
 TEXT = 1 << 14
-"""The bytes at the beginning of a text that tell what it is: comments may come first."""
+"""Bytes at the beginning of a text file that identify its format; comments may come first."""
 _FOREIGN = {
     b"(Transform ": ("parameters of elastix", "run transformix -def all -tp, and read its deformationField"),
     b"MGH_GPUIT_BSP": ("a B-spline of plastimatch", "run plastimatch xf-convert --output-type vf, and read that"),
     b"MNI Transform File": ("a transform of MINC", "convert it to a field of ITK"),
 }
 Space = Literal["LPS", "RAS", "FSL", "voxels"]
-"""Coordinates in which programs count in an image."""
+"""Coordinate systems of programs in an image."""
 
 
 class Displacements(NamedTuple):
@@ -42,15 +42,15 @@ class Displacements(NamedTuple):
 
 
 Content = Matrix | Displacements
-"""The homogeneous matrix of an affine map, or a displacement field. Those of a file apply in order, the first first."""
+"""The homogeneous matrix of an affine map, or a displacement field. A file's contents apply in order."""
 
 
 class MissingGridError(SuppleError):
-    """A file is of a convention that counts in an image's voxels, and its grid is not given."""
+    """The convention of a file depends on an image's grid, which is not given."""
 
 
 class Grids(NamedTuple):
-    """The grids that some conventions need beside the file: of the input (source) and of the output (reference)."""
+    """The grids that some conventions need: of the input image (source) and of the output image (reference)."""
 
     source: Grid | None = None
     reference: Grid | None = None
@@ -70,7 +70,7 @@ class Grids(NamedTuple):
 
 
 def suffix_of(path: PathLike, suffixes: Sequence[str]) -> str:
-    """Return the longest of the suffixes that a name ends in, or its own."""
+    """Return the longest of ``suffixes`` that a name ends in, else the suffix of the name."""
     name = Path(path).name.lower()
     fits = [suffix for suffix in suffixes if name.endswith(suffix)]
     return max(fits, key=len, default=Path(path).suffix.lower())
@@ -84,7 +84,7 @@ def inverse(matrix: Matrix) -> Matrix:
 def coordinates(space: Space, grid: Grid) -> Matrix:
     """Return the matrix from LPS to the coordinates of an image.
 
-    FSL's are indices times spacing, with x counted from the other side if the image is right-handed in RAS.
+    FSL's coordinates are indices times spacing, with x from the opposite side if the image is right-handed in RAS.
     """
     if space == "LPS":
         return np.eye(4)
@@ -108,7 +108,7 @@ def grid_of(path: PathLike, matrix: Matrix, sizes: Sequence[int]) -> Grid:
 
 
 def centred(sizes: Sequence[int] | Array, steps: Array, axes: Array, middle: Array) -> Matrix:
-    """Return the matrix from indices to RAS of an image, as FreeSurfer describes it: by the position of its middle."""
+    """Return the matrix from indices to RAS of an image, described as in FreeSurfer: by its axes and its middle."""
     made = np.eye(4)
     made[:3, :3] = axes * steps
     made[:3, 3] = middle - made[:3, :3] @ (np.asarray(sizes) / 2)
@@ -124,8 +124,8 @@ def described(grid: Grid) -> tuple[Matrix, Array]:
 def check_plumb(path: PathLike, grids: Grids, verb: str = "read", own: Grid | None = None) -> None:
     """Raise SuppleError for an oblique grid of AFNI's.
 
-    AFNI's coordinates leave out how a grid is turned (they are "cardinal"), so that a warp on an oblique grid means
-    nothing without AFNI's own rules for both images.
+    AFNI's coordinates ignore the rotation of a grid (they are "cardinal"), so that a warp on an oblique grid depends on
+    AFNI's own rules for both images.
     """
     given = {"the input (moving) image": grids.source, "the output (fixed) image": grids.reference, "its grid": own}
     for whose, grid in given.items():
@@ -156,7 +156,7 @@ def check_matrix(path: PathLike, matrix: Matrix) -> Matrix:
 
 
 def check_count(path: PathLike, found: int, wanted: int = 3) -> None:
-    """Raise SuppleError for another number of values for each voxel."""
+    """Raise SuppleError if the number of values of a voxel is not ``wanted``."""
     if found != wanted:
         known = {
             1: "one value for each voxel, as an image or a mask",
@@ -167,7 +167,7 @@ def check_count(path: PathLike, found: int, wanted: int = 3) -> None:
 
 
 def check_finite(path: PathLike, values: Array, advice: str = FINITE) -> None:
-    """Raise SuppleError for NaN or infinity, with their number."""
+    """Raise SuppleError, with their count, for NaN and infinite values."""
     gaps = sum(int((~np.isfinite(plane).all(axis=-1)).sum()) for plane in values)
     if gaps:
         count = f"{gaps} voxel{'s' if gaps > 1 else ''}"
@@ -175,9 +175,9 @@ def check_finite(path: PathLike, values: Array, advice: str = FINITE) -> None:
 
 
 def vectors_of(path: PathLike, volume: Volume, count: int = 3) -> tuple[Array, Grid]:
-    """Return the vectors of a volume, shape (Z, H, W, count), and its grid; they may be volumes of a series in time.
+    """Return the vectors of a volume, shape (Z, H, W, count), and its grid; components may be stored as a time series.
 
-    SuppleError if there are not as many numbers for each voxel, or they are no fractions; or it has no place in space.
+    SuppleError for another number of components, samples that are not floats, or a volume without a position in space.
     """
     samples = volume.rescaled()
     if volume.series:
@@ -196,7 +196,7 @@ def vectors_of(path: PathLike, volume: Volume, count: int = 3) -> tuple[Array, G
 def only_field(path: PathLike, contents: Sequence[Content], form: str, ndim: int = 3) -> Displacements:
     """Return the only content, a field without spline coefficients; SuppleError for others.
 
-    ``form`` names the format in messages. Fields of volumes are interpolated linearly by their programs.
+    ``form`` names the format in messages. For volumes, cubic fields are refused too, as other programs are linear.
     """
     found = contents[0] if len(contents) == 1 else None
     if not isinstance(found, Displacements):

@@ -1,9 +1,9 @@
-"""Fields that are sampled on a grid, by a table of what their vectors are, and what NIfTI files say of them.
+"""Displacement fields sampled on a grid, with a table of the meaning of their vectors and their tags in NIfTI.
 
-NIfTI of all programs; .mif of MRtrix, .HEAD with .BRIK of AFNI, and .mgz of FreeSurfer are only read. Nothing in a file
-of FSL says whether its warp is relative or absolute. Fields of NiftyReg and SPM name themselves in their headers: they
-have the intent code of ITK's (1007), those of SPM's Segment none, and hold something else. Beyond its grid, AFNI
-continues a warp with the mean slope at its faces; here, as all of these, it keeps the displacement of the edge.
+NIfTI files of all programs are read and written; .mif of MRtrix, .HEAD with .BRIK of AFNI, and .mgz of FreeSurfer are
+only read. Files of FSL do not say whether their warp is relative or absolute. Fields of NiftyReg and SPM have names in
+their headers; their vectors differ from ITK's, though they share its intent code 1007 (SPM's Segment writes none). AFNI
+continues a warp beyond its grid with the mean slope at its faces; here, all fields keep the displacement of the edge.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from supple.media.volume.data import Volume, native, reading
 from supple.space.geometry import Grid
 
 VECTOR = 1007
-"""The intent code of a vector for each voxel."""
+"""NIfTI's intent code of a vector in each voxel."""
 NIFTI = (".nii", ".nii.gz")
 DATASETS, MIF, MGZ, MORPHS = (".head", ".brik", ".brik.gz"), (".mif", ".mif.gz"), (".mgz", ".mgh"), (".m3z", ".m3d")
 
@@ -35,9 +35,9 @@ DATASETS, MIF, MGZ, MORPHS = (".head", ".brik", ".brik.gz"), (".mif", ".mif.gz")
 class Vectors(NamedTuple):
     """The meaning of the vectors of a convention's fields, and the tags of its NIfTI files.
 
-    ``space`` is that of their coordinates; ``absolute`` are positions in the input image, others displacements.
-    ``codes`` are the intent codes that are read; ``axes``, ``intent`` and its ``name`` are what is written. ``gaps`` is
-    what to do about NaN.
+    ``space`` is the coordinate system. ``absolute`` is true for positions in the input image, false for displacements.
+    ``codes`` are the intent codes that are accepted; ``axes``, ``intent`` and its ``name`` are written. ``gaps`` is the
+    advice for NaN.
     """
 
     space: base.Space
@@ -55,16 +55,16 @@ VECTORS = {
     "itk": Vectors("LPS", False, (VECTOR,), 5, VECTOR),
     "fsl-relative": Vectors("FSL", False, (2006, 0), 4, 2006),
     "fsl-absolute": Vectors("FSL", True, (2006, 0), 4, 2006),
-    "afni": Vectors("LPS", False, (0, VECTOR), 5),  # 1007 of a field that another program has copied
+    "afni": Vectors("LPS", False, (0, VECTOR), 5),  # 1007: fields that another program has copied
     "mrtrix": Vectors("RAS", True, gaps=_MARKED),
     "mrtrix-displacement": Vectors("RAS", False, gaps=_MARKED),
-    "niftyreg": Vectors("RAS", True, (VECTOR,), 5, VECTOR, "NREG_TRANS", _OUTSIDE),  # its header may say displacements
+    "niftyreg": Vectors("RAS", True, (VECTOR,), 5, VECTOR, "NREG_TRANS", _OUTSIDE),  # or displacements
     "spm-deformation": Vectors("RAS", True, (0, VECTOR), 5, VECTOR, "Mapping", _OUTSIDE),
 }
 _FREESURFER = {0: Vectors("voxels", True), 1: Vectors("voxels"), 2: Vectors("RAS", True), 3: Vectors("RAS")}
-"""By the number of their format."""
+"""FreeSurfer's vectors, by the number of their format."""
 
-_POSITIONS, _DISPLACEMENTS = 0, 1  # what fields of NiftyReg hold, in intent_p1
+_POSITIONS, _DISPLACEMENTS = 0, 1  # values of NiftyReg's intent_p1
 _COEFFICIENTS = (2007, 2008, 2009, 2016, 2017)  # of FNIRT and topup
 _FOREIGN = re.compile("veloc|flow field|coefficient|b-?spline", re.IGNORECASE)
 _OF_SPM = re.compile("((inverse|forward) )?deformation( field.*)?", re.IGNORECASE)  # Segment writes no intent
@@ -72,7 +72,7 @@ _LABELS = ["x_delta", "y_delta", "z_delta"]  # some warps of AFNI hold other vol
 _HEADER = 1 << 16  # bytes that hold the header of any .mif
 _PLACES, _SHEARED, _FORMAT = 10, 15, 13  # tags of .mgz
 _UNSIZED = (1, 2, 11, 12, 20, 30)  # those without a size: tables, labels, surfaces, matrices
-_PLACE = 76 + 512  # bytes of the place of an image, and of the name of its file
+_PLACE = 76 + 512  # bytes of an image's geometry, and of its file name
 _LEAN = 1e-4  # the largest shear by rounding
 _CONVERT = "run mrconvert (of a full warp, warpconvert with warpfull2deformation), and give its .nii.gz"
 _CONVERT_WARP = "run mri_warp_convert with --outitk, and read that"
@@ -120,10 +120,11 @@ def write(
 
 
 def _converted(values: Array, grid: Grid, kind: Vectors, source: Grid, *, back: bool = False) -> Array:
-    """Return displacements in LPS of the vectors of a file, or, with ``back``, what a file holds of displacements.
+    """Convert the vectors of a file to displacements in LPS, or, with ``back``, displacements to those of a file.
 
-    With p the position of a sample in LPS, R and S the coordinates of the image that is sampled and of the source, a
-    file holds v = S (p + u), of displacements less R p; so u = S⁻¹ (v + R p) - p. This goes plane by plane.
+    Let p be the position of a sample in LPS and u its displacement, and let R and S map LPS to the coordinates of the
+    field's image and of the source. Absolute vectors are v = S (p + u), relative ones v = S (p + u) - R p, so that u =
+    S⁻¹ v - p, or u = S⁻¹ (v + R p) - p. Planes are converted one by one.
     """
     if kind.space == "LPS":
         return values
@@ -145,7 +146,7 @@ def _converted(values: Array, grid: Grid, kind: Vectors, source: Grid, *, back: 
 
 
 def write_nifti(path: PathLike, temporary: Path, values: Array, matrix: base.Matrix, kind: Vectors) -> None:
-    """Write vectors (Z, H, W, 3) into the temporary file of a NIfTI file, with the matrix of its indices to LPS."""
+    """Write vectors (Z, H, W, 3) as NIfTI to a temporary file; ``matrix`` leads from indices to LPS."""
     if max(values.shape) > nifti.LONGEST:
         sizes = " x ".join(map(str, values.shape[2::-1]))
         what = f"NIfTI ends at {nifti.LONGEST} voxels on a side, and the field has {sizes}"
@@ -164,7 +165,7 @@ def write_nifti(path: PathLike, temporary: Path, values: Array, matrix: base.Mat
 def announced(path: PathLike, header: Any) -> str:
     """Return the convention that a NIfTI header names: ``"niftyreg"``, ``"spm-deformation"``, or ``""`` for none.
 
-    SuppleError for what says that it is no field, or none that is read.
+    SuppleError if the header says that it is not a field, or not a supported one.
     """
     code = int(header["intent_code"])
     if code in _COEFFICIENTS:
@@ -184,7 +185,7 @@ def announced(path: PathLike, header: Any) -> str:
 
 
 def check_header(path: PathLike, volume: Volume, convention: str) -> str:
-    """Return the convention that the header of a NIfTI file names; SuppleError if it is another one."""
+    """Return the convention that the header of a NIfTI file names, or ""; SuppleError if it is a different one."""
     known = announced(path, volume.header)
     if known not in ("", convention):
         name = {"niftyreg": "NiftyReg", "spm-deformation": "SPM"}[known]
@@ -194,7 +195,7 @@ def check_header(path: PathLike, volume: Volume, convention: str) -> str:
 
 
 def _nifti(path: PathLike, convention: str) -> tuple[Array, Grid, Vectors]:
-    """Return the vectors of a NIfTI file whose place is not in doubt, their grid, and what they are."""
+    """Return the vectors of a NIfTI file, whose qform and sform must agree, their grid, and their meaning."""
     kind = VECTORS[convention]
     with warnings.catch_warnings():
         warnings.simplefilter("error", VolumeWarning)
@@ -208,7 +209,7 @@ def _nifti(path: PathLike, convention: str) -> tuple[Array, Grid, Vectors]:
         wanted = " or ".join(map(str, kind.codes))
         what = f"its intent code is {code}, and that of a field in the convention {convention} is {wanted}"
         raise unreadable(path, what, "give the convention that it has")
-    if convention == "niftyreg":  # which says what it holds
+    if convention == "niftyreg":  # its header says what the vectors are
         if known != convention:
             raise unreadable(path, f"its header does not say that it is of {convention}", "give another convention")
         kind = kind._replace(absolute=int(volume.header["intent_p1"]) == _POSITIONS)
@@ -260,7 +261,7 @@ def _mif(path: PathLike) -> tuple[Array, Grid]:
             raise unreadable(path, "it is no .mif file of x, y, z and three volumes of floats, as a warp is", _CONVERT)
         file.seek(int(offset or 0))
         dtype = np.dtype(f"{ {'le': '<', 'be': '>', None: '='}[kind[2]] }f{int(kind[1]) // 8}")
-        # axes in the order of the file, the fastest last; then x, y, z and component, each forwards
+        # first with axes in the file's order, the fastest last; then as x, y, z and component, each in ascending order
         kept = sorted(range(4), key=lambda axis: -order[axis])
         whole = nifti.filled(path, file, dtype, [(x, y, z, count)[axis] for axis in kept], file.tell())
     whole = whole.transpose([kept.index(axis) for axis in (2, 1, 0, 3)])
@@ -270,7 +271,7 @@ def _mif(path: PathLike) -> tuple[Array, Grid]:
 
 
 def _mgz(path: PathLike) -> tuple[Array, Grid, Vectors, Grid]:
-    """Return the vectors of a warp that mri_warp_convert writes, their grid, what they are, and the source's grid."""
+    """Return the vectors of a warp written by mri_warp_convert, their grid, their meaning, and the source's grid."""
     volume = mgh.read(path)
     tags = dict(_tags(volume.header[1])) if volume.series and len(volume.samples) == 3 else {}
     if not {_FORMAT, _PLACES} <= set(tags) or volume.samples.dtype != np.float32:
@@ -286,7 +287,7 @@ def _mgz(path: PathLike) -> tuple[Array, Grid, Vectors, Grid]:
 
 
 def _tags(tags: bytes) -> Iterator[tuple[int, bytes]]:
-    """Yield the tags behind the voxels of a .mgz and their contents; struct.error for what no warp has."""
+    """Yield the tags after the voxels of a .mgz, with their contents; struct.error for tags that no warp has."""
     at = 0
     while at + 4 <= len(tags):
         (tag,) = struct.unpack_from(">i", tags, at)
@@ -305,7 +306,7 @@ def _tags(tags: bytes) -> Iterator[tuple[int, bytes]]:
 
 
 def _place(path: PathLike, held: bytes) -> Grid:
-    """Return the grid of an image that a tag describes: its sizes and place, shear if it has it, and a file's name."""
+    """Return the grid of an image from a tag, which holds sizes, geometry, perhaps a shear, and a file name."""
     valid, *sizes = struct.unpack_from(">4i", held)
     numbers = np.array(struct.unpack_from(">15f", held, 16))
     if not valid or min(sizes) < 1:

@@ -30,7 +30,7 @@ TRANSFORMS = (".h5", ".hdf5", ".tfm", ".txt", ".mat")
 _MANY = (".h5", ".tfm")
 _OUT = tuple(dict.fromkeys((*SUFFIXES_OUT, *TRANSFORMS)))
 _NONE = "is of no transform of ITK"
-_OVERHEAD = 1 << 16  # more than the size of a transform's HDF5 file without the field
+_OVERHEAD = 1 << 16  # bytes: more than a transform's HDF5 file without the field
 _CHUNK = 1 << 20
 _TYPES = {np.dtype(np.float32): ("float", "MET_FLOAT"), np.dtype(np.float64): ("double", "MET_DOUBLE")}
 DISPLACEMENT = 1006
@@ -60,7 +60,7 @@ def _field(path: PathLike, in_nifti: bool) -> base.Displacements:
             axes = 4 if volume.series else 5
             what = f"it has {axes} axes and the intent code {code}, and a field of ITK has 5 and the code 1007"
             raise unreadable(path, what, "give the convention that it has")
-    # The vectors stay as they are for any space of a NRRD: ITK turns its place to LPS, and never its vectors.
+    # Vectors are taken as LPS for any space of a NRRD: ITK converts its geometry to LPS, but not its vectors.
     flat = not volume.series and volume.components == 2 and volume.sizes[2] == 1
     values, grid = base.vectors_of(path, volume, 2 if flat else 3)
     if flat:
@@ -91,7 +91,7 @@ def _transforms(path: PathLike, suffix: str) -> tuple[base.Content, ...]:
     with itk.failing(path, "ITK transform"):
         try:
             whole = sitk.ReadTransform(os.fspath(path))
-        except KeyError as error:  # a kind that SimpleITK's table of kinds lacks
+        except KeyError as error:  # a kind that SimpleITK does not support
             raise unreadable(path, "SimpleITK does not know its kind of transform", "write it as affine") from error
     return tuple(_contents(path, whole))
 
@@ -110,13 +110,13 @@ def transform_of(contents: Sequence[base.Content]) -> Any:
 
 
 def _kind_of(transform: Any) -> Any:
-    with contextlib.suppress(KeyError):  # a kind that SimpleITK's table of kinds lacks
+    with contextlib.suppress(KeyError):  # a kind that SimpleITK does not support
         transform = transform.Downcast()
     return transform
 
 
 def _check_matlab(path: PathLike) -> None:
-    """Raise SuppleError for matrices of MATLAB 4 that are cut short, as ITK would fill what is missing."""
+    """Raise SuppleError for truncated MATLAB 4 matrices, which ITK would fill up."""
     data, at = head_of(path, 1 << 16), 0
     while at + 20 <= len(data):
         kind, rows, columns, _, name = struct.unpack_from("<5i", data, at)
@@ -129,12 +129,12 @@ def _check_matlab(path: PathLike) -> None:
 
 def _contents(path: PathLike, transform: Any) -> list[base.Content]:
     sitk = itk.imported()
-    # first: of a transform whose kind SimpleITK lacks, it makes a composite that holds itself
+    # must come first: SimpleITK turns an unsupported transform into a composite that contains itself
     if transform.IsLinear():
         return [base.check_matrix(path, _matrix(transform))]
     if isinstance(transform, sitk.CompositeTransform):
         made: list[base.Content] = []
-        for i in reversed(range(transform.GetNumberOfTransforms())):  # it applies first what was added last
+        for i in reversed(range(transform.GetNumberOfTransforms())):  # the last added is applied first
             made += _contents(path, _kind_of(transform.GetNthTransform(i)))
         return made
     interpolation: base.Interpolation
@@ -227,8 +227,8 @@ def _placed(image: Any, geometry: Geometry | Grid) -> Any:
 
 
 def _write_transform(path: PathLike, temporary: Path, transform: Any, size: int) -> None:
-    """Write a transform of ITK's, whose parameters take about `size` bytes, into the temporary file of `path`."""
-    with open(temporary, "wb") as file:  # HDF5 crashes on a full disk
+    """Write an ITK transform, whose parameters take about `size` bytes, to the temporary file for `path`."""
+    with open(temporary, "wb") as file:  # reserve space first, as HDF5 crashes on a full disk
         for _ in range(0, size + _OVERHEAD, _CHUNK):
             file.write(bytes(_CHUNK))
     try:
@@ -249,10 +249,10 @@ def write_field(
     """Write a displacement field (Z, H, W, 3) for resampling a volume onto the field's grid by ITK, ANTs and 3D Slicer.
 
     Each voxel of the output holds the displacement to its source point in the input, in float32 or float64, in
-    millimetres along the axes of LPS, x first, for any convention of ``geometry``. It is read plane by plane, except
-    for NIfTI (intent 1007, as ANTs writes it), which takes a component at a time. ``.nrrd`` and ``.mha`` are vector
-    images, ``.h5`` a transform of ITK's, in float64. SuppleError if the array has another shape or type, holds NaN or
-    infinity, or is too large for the format; or the file cannot be written.
+    millimetres along the axes of LPS, x first, for any convention of ``geometry``. The array is read plane by plane,
+    or component by component for NIfTI (intent 1007, as from ANTs). ``.nrrd`` and ``.mha`` are vector images, ``.h5``
+    an ITK transform, in float64. SuppleError if the array has another shape or dtype, holds NaN or infinity, or is too
+    large for the format; or if the file cannot be written.
     """
     check_target(path)
     name, suffix = shown(path), base.suffix_of(path, SUFFIXES_OUT)
@@ -274,7 +274,7 @@ def write_field(
                     file.write(np.ascontiguousarray(plane, plane.dtype.newbyteorder("<")).data)
 
 
-# Kept: SimpleITK copies a field before it writes it, and of a NRRD does not notice that the disk is full
+# Kept: SimpleITK copies a field before writing it, and does not notice a full disk when it writes a NRRD
 # (test_a_full_disk_leaves_what_was_there_and_no_word_of_itks).
 
 

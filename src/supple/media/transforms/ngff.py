@@ -1,7 +1,7 @@
 """Coordinate transformations of OME-Zarr (OME-NGFF) 0.6: a folder, a Zarr store.
 
-A transformation leads from its input to its output: as a pull map, its input is the space of the resampled image, its
-output that of the image that is resampled. Axes stand in the order of arrays, z first.
+A transformation leads from its input to its output. As a pull map, its input is the space of the output image, and its
+output the space of the input image. Axes are in array order, z first.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ SUFFIXES = (".zarr",)
 VERSION = "0.6"
 _FIELDS = "coordinateTransformations"
 _ARRAY = "s0"
-_SIDES = {2: 512, 3: 64}  # of chunks
+_SIDES = {2: 512, 3: 64}  # of chunks, by the number of axes
 _PREFIXES = {
     "": 0, "yocto": -24, "zepto": -21, "atto": -18, "femto": -15, "pico": -12, "nano": -9, "micro": -6, "milli": -3,
     "centi": -2, "deci": -1, "hecto": 2, "kilo": 3, "mega": 6, "giga": 9, "tera": 12, "peta": 15, "exa": 18,
@@ -33,9 +33,9 @@ _PREFIXES = {
 _UNITS = {f"{prefix}meter": float(f"1e{power + 3}") for prefix, power in _PREFIXES.items()}
 _UNITS |= {"angstrom": 1e-7, "inch": 25.4, "foot": 304.8, "yard": 914.4, "mile": 1_609_344.0}
 _UNITS["parsec"] = 3.0856775814913673e19
-# Not of the specification, but of many files.
+# Not in the specification, but in many files.
 _UNITS |= {**dict.fromkeys(("um", "\u00b5m", "\u03bcm", "micron", "microns"), 1e-3), "nm": 1e-6, "mm": 1.0, "cm": 10.0}
-"""Millimetres."""
+"""Millimetres in each unit."""
 ORIENTATIONS = {
     "right-to-left": (0, 1.0), "left-to-right": (0, -1.0), "anterior-to-posterior": (1, 1.0),
     "posterior-to-anterior": (1, -1.0), "inferior-to-superior": (2, 1.0), "superior-to-inferior": (2, -1.0),
@@ -49,20 +49,20 @@ _TYPES = (*_LINEAR, "sequence", "bijection", *_KINDS)
 
 Json = Mapping[str, Any]
 Refusal = Callable[[str, str], SuppleError]
-"""It returns an error from what was found and what would do."""
+"""A function that returns an error from a reason and an advice."""
 
 
 def read(path: PathLike, grids: Grids) -> tuple[Content, ...]:
     """Read the coordinate transformation of an OME-Zarr store, of Zarr format 2 or 3, as parts that apply in order.
 
-    The folder is a scene or a multiscale image, with one transformation of two or three space axes: identity, scale,
-    translation, rotation, affine, mapAxis, byDimension of these; displacements or coordinates; a sequence of these; or
-    a bijection, of which the forward part is read.
+    The folder is a scene or a multiscale image, with one transformation of two or three axes of space: identity, scale,
+    translation, rotation, affine, mapAxis, or byDimension of these; displacements or coordinates; a sequence of these;
+    or a bijection, of which the forward part is read.
 
-    Parts are x first. Lengths that have a unit are in millimetres, those without are left as they are; axes that have
-    an anatomical orientation are turned to LPS, others are left as they are. A field between an affine map and its
-    inverse, as `write` makes them, is one field on an oriented grid, if its axes are at right angles. The format does
-    not say what a field is beyond its edges: it is taken as no displacement.
+    Parts are x first. Lengths with a unit are converted to millimetres, and axes with an anatomical orientation to LPS;
+    others are kept. A field between an affine map and its inverse, as `write` writes them, becomes one field on an
+    oriented grid, if its axes are at right angles. The format does not define a field beyond its edges: its
+    displacement is 0 there.
     """
     check_suffix(path, Path(path).suffix, SUFFIXES, "is of no OME-Zarr store", "use .zarr", "read")
     return Store(path).contents()
@@ -71,9 +71,9 @@ def read(path: PathLike, grids: Grids) -> tuple[Content, ...]:
 def write(path: PathLike, contents: Sequence[Content], grids: Grids, *, force: bool = False) -> None:
     """Write a map as an OME-Zarr scene of version 0.6, whose transformation leads from the output to the input image.
 
-    Fields of volumes are in millimetres, those of pictures in pixels. A field whose grid is turned is written as a
-    sequence: an affine map, the field along its own axes, and the map back; `read` makes one field of it. What a field
-    is beyond its edges, the format does not say.
+    Fields of volumes are in millimetres, those of pictures in pixels. A field on an oriented grid is written as a
+    sequence: an affine map, the field along its own axes, and the map back; `read` returns one field again. The format
+    does not define a field beyond its edges.
     """
     check_suffix(path, Path(path).suffix, SUFFIXES, "is of no OME-Zarr store", "use .zarr")
     sizes = {len(one) - 1 if isinstance(one, np.ndarray) else one.grid.ndim for one in contents}
@@ -101,7 +101,7 @@ def write(path: PathLike, contents: Sequence[Content], grids: Grids, *, force: b
             steps += [step] if plain else [_affine(back), step, _affine(turn)]
         whole = steps[0] if len(steps) == 1 else {"type": "sequence", "transformations": steps}
         root = _scene(str(temporary), whole, _axes(n))
-        for k, (one, back) in enumerate(fields):  # written along the axes of its grid, to which `back` leads
+        for k, (one, back) in enumerate(fields):  # written along the axes of its grid; `back` leads to these
             grid, rotation = one.grid, back[:-1, :-1]
             values = one.values if np.array_equal(back, np.eye(n + 1)) else one.values @ rotation.T
             dtype = np.float64 if one.values.dtype.itemsize == 8 else np.float32
@@ -120,7 +120,7 @@ def _affine(matrix: Matrix) -> dict[str, Any]:
 
 
 class Placement(NamedTuple):
-    """Where the samples of a field lie, in the order of an array's axes and in the units of these."""
+    """The grid of a field's samples: shape, scale and translation, in the order and the units of an array's axes."""
 
     shape: Sequence[int]
     scale: Sequence[float]
@@ -130,13 +130,13 @@ class Placement(NamedTuple):
 def bijection(
     axes: Sequence[Mapping[str, Any]], forward: Placement, inverse: Placement, name: str
 ) -> tuple[dict[str, bytes], tuple[str, str]]:
-    """Return the metadata of a scene that holds both directions of a map, as fields without samples yet.
+    """Return the metadata of a scene with fields for both directions of a map, without samples yet.
 
-    ``forward`` leads from the output image to the input image, on the grid of the output; ``inverse`` back, on the grid
-    of the input. ``axes`` describe the axes of space of both images, and ``name`` is that of the transformation. All
-    files of metadata are returned by their keys in the store, and the paths of both arrays: float32, of shape
-    (components, ...), the components in the order of the axes. The fill value is 0; chunks hold all components, of 64
-    samples along each axis of a volume and 512 of a picture: two or three megabytes, and whole patches of the map.
+    ``forward`` is the grid of the output image, whose field leads to the input image; ``inverse`` is the grid of the
+    input image, whose field leads back. ``axes`` describe the axes of space of both, and ``name`` is that of the
+    transformation. Returned are all metadata by their keys in the store, and the paths of both arrays: float32, shape
+    (components, ...), components in the order of the axes. The fill value is 0. Chunks hold all components, with 64
+    samples along each axis of a volume, and 512 of a picture: two or three megabytes, and whole patches of the map.
     """
     from zarr.storage import MemoryStore
 
@@ -152,12 +152,12 @@ def bijection(
 
 
 def _displacements(index: int, interpolation: str) -> dict[str, Any]:
-    # "linear" or "cubic", as the schema has it; its text calls the latter bspline-cubic
+    # "linear" or "cubic", as in the schema; the text of the specification has bspline-cubic for the latter
     return {"type": "displacements", "path": f"{_FIELDS}/{index}", "interpolation": interpolation}
 
 
 def _scene(store: Any, transformation: Mapping[str, Any], axes: Sequence[Mapping[str, Any]]) -> Any:
-    """Create the group of a scene of one transformation, from the output to the input; return it."""
+    """Create and return the group of a scene with one transformation, from the output to the input image."""
     systems = [{"name": name, "axes": list(axes)} for name in ("output", "input")]
     ends = {"input": {"name": "output"}, "output": {"name": "input"}}
     scene = {"coordinateSystems": systems, "coordinateTransformations": [{**transformation, **ends}]}
@@ -167,7 +167,7 @@ def _scene(store: Any, transformation: Mapping[str, Any], axes: Sequence[Mapping
 def _field(
     root: Any, index: int, axes: Sequence[Mapping[str, Any]], samples: Placement, dtype: Any, **more: Any
 ) -> Any:
-    """Create the array of a field, as a multiscale image of one scale; return it."""
+    """Create and return the array of a field, as a multiscale image with one level."""
     vector = {"name": "c", "type": "displacement", "discrete": True}
     steps = [
         {"type": "scale", "scale": [1.0, *map(float, samples.scale)]},
@@ -188,7 +188,7 @@ def _field(
 
 
 def imported(what: str = "transformations of OME-Zarr") -> Any:
-    """Return the module zarr, imported at the first use; ``what`` says in an error what needs it."""
+    """Return the module zarr, imported at the first use; ``what`` names, in an error, the feature that needs it."""
     need("zarr", what, "zarr")
     import zarr
 
@@ -198,8 +198,8 @@ def imported(what: str = "transformations of OME-Zarr") -> Any:
 def space_matrix(axes: Sequence[Json], units: Sequence[str | None], error: Refusal) -> Matrix:
     """Return the matrix from coordinates along axes, as stored, to millimetres in LPS, x first.
 
-    ``axes`` are the descriptions of two or three axes: names, and types and orientations if they have any. Coordinates
-    along an axis without a unit are left as they are. ``error`` returns the error to raise.
+    ``axes`` are the metadata of two or three axes: names, and types and orientations if present. Coordinates along an
+    axis without a unit are kept. ``error`` returns the error to raise.
     """
     names = [str(axis["name"]) for axis in axes]
     n, listed = len(axes), ", ".join(names)
@@ -226,13 +226,13 @@ def space_matrix(axes: Sequence[Json], units: Sequence[str | None], error: Refus
 
 
 def ome_of(attributes: Json) -> Json:
-    """Return the metadata of OME-Zarr among those of a group; before version 0.5, they had no name of their own."""
+    """Return the OME-Zarr metadata among a group's attributes; before version 0.5, they were not under a key "ome"."""
     ome = attributes.get("ome", attributes)
     return ome if isinstance(ome, Mapping) else {}
 
 
 def parsing(refused: Refusal) -> contextlib.AbstractContextManager[None]:
-    """Convert errors of metadata whose parts are missing, or of another type, to one sentence."""
+    """Convert errors about missing or malformed metadata to one sentence."""
 
     def malformed(error: Exception) -> SuppleError:
         what = f"its metadata are incomplete or malformed ({type(error).__name__}: {error})"
@@ -257,11 +257,11 @@ class Store:
         return unreadable(self.path, reason, advice)
 
     def reading(self, what: str) -> contextlib.AbstractContextManager[None]:
-        """Convert all errors of zarr, whose codecs raise any of them, to one sentence."""
+        """Convert all errors of zarr, whose codecs raise any type, to one sentence."""
         return refusing(lambda error: self.error(f"{what} ({said(error)})"), Exception)
 
     def contents(self) -> tuple[Content, ...]:
-        """Return what the store holds, in millimetres in LPS, x first."""
+        """Return the matrices and fields in the store, in millimetres in LPS, x first."""
         with parsing(self.error):
             found, holder = self._only()
             before, after = self._systems(found, holder)
@@ -295,13 +295,13 @@ class Store:
             raise self.error(f"its input has {n} axes, its output {m}", "give one of equal spaces")
         before, after = np.eye(n + 1), np.eye(n + 1)
         for matrix, own, other in ((before, 0, 1), (after, 1, 0)):
-            # what has no unit is in that of the other end
+            # an axis without a unit has that of the other end
             units = [a.get("unit") or b.get("unit") for a, b in zip(ends[own], ends[other], strict=True)]
             matrix[:-1, :-1] = space_matrix(ends[own], units, self.error)
         return before, after
 
     def _axes(self, end: Json, holder: Json) -> list[Json]:
-        """Return the axes of a coordinate system: of the scene or image, or of an image at a path."""
+        """Return the axes of the coordinate system that ``end`` names: in ``holder``, or in an image at a path."""
         name, path = end["name"], end.get("path")
         ome = ome_of(self._node(path).attrs) if path else {}
         for one in (ome, *ome.get("multiscales", [])) if path else (holder,):
@@ -312,7 +312,7 @@ class Store:
         raise self.error(f"it does not describe the coordinate system {name!r}{where}", "add it")
 
     def _parts(self, found: Json, n: int) -> list[Matrix | _Raw]:
-        """Return the parts of a transformation, in coordinates as they are stored."""
+        """Return the parts of a transformation, in the coordinates of the file."""
         kind = found["type"]
         if kind == "sequence":
             return [part for one in found["transformations"] for part in self._parts(one, n)]
@@ -326,7 +326,7 @@ class Store:
         kind, made = found["type"], np.eye(n + 1)
         if kind == "identity":
             return made
-        if kind == "sequence":  # of a field's indices
+        if kind == "sequence":  # for the indices of a field
             for one in found["transformations"]:
                 made = self._matrix(one, n) @ made
             return made
@@ -423,7 +423,7 @@ class _Raw(NamedTuple):
 
 
 def _turned(part: Matrix | _Raw, axes: Matrix) -> Content:
-    """Return a part of a transformation in millimetres in LPS, x first, with ``axes`` from stored coordinates."""
+    """Convert a part of a transformation to millimetres in LPS, x first; ``axes`` is the matrix from file axes."""
     if not isinstance(part, _Raw):
         return np.asarray(axes @ part @ inverse(axes))
     n = len(axes) - 1
@@ -438,13 +438,12 @@ def _turned(part: Matrix | _Raw, axes: Matrix) -> Content:
 
 
 def shortened(parts: Iterable[Content]) -> list[Content]:
-    """Return the same map of fewer parts, the first first: matrices multiplied, and fields on oriented grids.
+    """Return the same map with fewer parts, in order: matrices are multiplied, and fields put on oriented grids.
 
-    Where fields lie along the axes of space, one on a turned grid is written as three maps: M into the axes of the
-    field, the field u, and M⁻¹ back. That is x → M⁻¹ (M x + u(M x)) = x + L u(M x), with L the linear part of M⁻¹: one
-    field of the vectors L u, whose samples lie where M⁻¹ puts those of u. These are found before matrices that follow
-    each other are multiplied, so that a field's own matrices are not lost among others; and after that, since a
-    sequence may spell each of them as several.
+    A field on an oriented grid is stored as three maps: the affine map M into the axes of the field, the field u, and
+    M⁻¹. Together, x → M⁻¹ (M x + u(M x)) = x + L u(M x), with L the linear part of M⁻¹: one field with the vectors L u,
+    and samples at M⁻¹ of those of u. Such triples are replaced before adjacent matrices are multiplied, so that a
+    field's own matrices are not merged with others; and once more after that, as each of them may be stored as several.
     """
     made: list[Content] = []
     for part in _oriented(parts):
@@ -456,7 +455,7 @@ def shortened(parts: Iterable[Content]) -> list[Content]:
 
 
 def _oriented(parts: Iterable[Content]) -> list[Content]:
-    """Return the parts with a matrix, a field and the inverse of the matrix as one field."""
+    """Return the parts with each matrix, field and inverse of the matrix replaced by one field."""
     made: list[Content] = []
     for part in parts:
         made.append(part)
@@ -466,13 +465,13 @@ def _oriented(parts: Iterable[Content]) -> list[Content]:
 
 
 def _one_field(before: Content, field: Content, after: Content) -> Displacements | None:
-    """Return three maps as one field; None if they are no matrix, field and inverse, or their grid is sheared."""
+    """Return three maps as one field; None if they are not a matrix, a field and its inverse, or sheared."""
     if isinstance(before, Displacements) or not isinstance(field, Displacements) or isinstance(after, Displacements):
         return None
     matrix = after @ field.grid.matrix
     if not abs(np.linalg.det(matrix)) > 0:
         return None
-    # by how many voxels positions are off at most
+    # the largest error of positions, in voxels
     off = np.abs(inverse(matrix) @ (after @ before - np.eye(len(after))) @ matrix)[:-1] @ [*field.grid.sizes, 1]
     if off.max() > _EXACT:
         return None

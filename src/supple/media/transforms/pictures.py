@@ -1,8 +1,8 @@
 """Maps of pictures as absolute source positions: maps of OpenCV's remap in pixels, and STMaps of compositors.
 
-An STMap is an image whose red and green are each pixel's source position, normalised: red, s, goes from 0 at the left
-edge of the source to 1 at its right edge; green, t, from 0 at the bottom to 1 at the top, as in Nuke. One that changes
-nothing holds ((x + 0.5) / W, 1 - (y + 0.5) / H), y down. OpenImageIO's ``st_warp`` reads it with ``flip_t``.
+An STMap is an image whose red and green are the normalised source position of each pixel: red, s, goes from 0 at the
+left edge of the source to 1 at its right edge; green, t, from 0 at the bottom to 1 at the top, as in Nuke. The identity
+is ((x + 0.5) / W, 1 - (y + 0.5) / H), with y down. OpenImageIO's ``st_warp`` reads it with ``flip_t``.
 """
 
 from __future__ import annotations
@@ -30,14 +30,14 @@ _ADVICE = "give an array (H, W, 2) of source positions, or two of (H, W), named 
 _STMAP_ADVICE = "an STMap needs red and green of 16 or 32 bits"
 _MAPS = (("map1", "map2"), ("mapx", "mapy"), ("xmap", "ymap"), ("x", "y"))
 _CHANNELS = (("R", "G"), ("S", "T"), ("U", "V"), ("X", "Y"))
-_STEPS = 32  # a pixel, in OpenCV's fixed point
-_LONGEST = 32_767  # pixels on a side, of cv2.remap
+_STEPS = 32  # a pixel in OpenCV's fixed-point maps
+_LONGEST = 32_767  # pixels on a side, the limit of cv2.remap
 _WHITE = 65_535
 _Planes = tuple[Array, Array, Array | None, tuple[int, int], tuple[int, int]]
 
 
 def _displacements(path: PathLike, x: Array, y: Array, first: tuple[int, int] = (0, 0)) -> Displacements:
-    """Return the displacements of positions x and y (H, W) of pixels, of which the first is at ``first``, x first."""
+    """Return displacements from the source positions x and y (H, W) of pixels, the first at ``first``, (x, y)."""
     height, width = x.shape
     values = np.empty((height, width, 2), np.float64 if max(x.itemsize, y.itemsize) == 8 else np.float32)
     np.subtract(x, np.arange(first[0], first[0] + width, dtype=np.float64), out=values[..., 0], casting="same_kind")
@@ -49,7 +49,7 @@ def _displacements(path: PathLike, x: Array, y: Array, first: tuple[int, int] = 
 
 
 def _positions(path: PathLike, contents: Sequence[Content], form: str) -> Matrix:
-    """Return the source positions (H, W, 2) of a picture's pixels; SuppleError for all but one map of a picture."""
+    """Return the source positions (H, W, 2) of a picture's pixels; SuppleError if there is not exactly one such map."""
     field = only_field(path, contents, form, 2)
     grid = field.grid
     if not np.array_equal(grid.matrix, np.eye(3)):
@@ -60,12 +60,12 @@ def _positions(path: PathLike, contents: Sequence[Content], form: str) -> Matrix
 
 
 def read_remap(path: PathLike, grids: Grids) -> tuple[Content, ...]:
-    """Read a map for ``cv2.remap``; beyond its edges, it goes on as at the edge.
+    """Read a map for ``cv2.remap``; beyond its edges, displacements are those of the edge.
 
-    ``.npy``: an array (H, W, 2), or (2, H, W), of float32 or float64, or of int16. ``.npz``: that, or two arrays (H, W)
-    of names that tell x from y (map1 and map2, map_x and map_y, mapx and mapy, x and y). ``.xml``, ``.yml`` and
-    ``.yaml``, as ``cv2.FileStorage`` writes them: matrices of these names. A map1 of int16 (H, W, 2) with a map2 of
-    uint16 (H, W) is the fixed-point form of ``cv2.convertMaps``, to a thirty-second of a pixel.
+    ``.npy``: an array (H, W, 2) or (2, H, W) of float32, float64 or int16. ``.npz``: the same, or two arrays (H, W)
+    named map1 and map2, map_x and map_y, mapx and mapy, or x and y. ``.xml``, ``.yml`` and ``.yaml``, as written by
+    ``cv2.FileStorage``: matrices with these names. A map1 of int16 (H, W, 2) with a map2 of uint16 (H, W) is the
+    fixed-point form of ``cv2.convertMaps``, with a resolution of 1/32 pixel.
     """
     suffix = Path(path).suffix.lower()
     check_suffix(path, suffix, REMAP, "is of no map of OpenCV's", f"use {', '.join(REMAP)}", "read")
@@ -84,7 +84,7 @@ def write_remap(path: PathLike, contents: Sequence[Content], grids: Grids, *, fo
     maps = {f"map{i + 1}": np.ascontiguousarray(places[..., i]) for i in range(2)}
     with replacing(path, force=force) as temporary, open(temporary, "wb") as file:
         if suffix == ".npy":
-            # np.save closes a duplicate of the file, and ignores that its last bytes found no room.
+            # np.save closes a duplicate of the file, and misses errors of its last bytes, such as a full disk.
             np.lib.format.write_array_header_1_0(file, np.lib.format.header_data_from_array_1_0(places))
             file.write(places.data)
         elif suffix == ".npz":
@@ -115,7 +115,7 @@ def _matrices(path: PathLike) -> dict[str, Array]:
     """Return the matrices of a file of ``cv2.FileStorage``."""
     cv2, text = _opencv(), head_of(path, -1).decode("utf-8", "replace")
     what = "it is no whole file of matrices, as cv2.FileStorage writes them"
-    with refusing(lambda _: unreadable(path, what, _ADVICE), Exception):  # of several types
+    with refusing(lambda _: unreadable(path, what, _ADVICE), Exception):  # OpenCV raises several types
         storage = cv2.FileStorage(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
         nodes = {name: storage.getNode(name) for name in storage.root().keys()}  # noqa: SIM118, not a dict
         return {name: np.asarray(node.mat()) for name, node in nodes.items() if node.isMap()}
@@ -129,7 +129,7 @@ def _opencv() -> Any:
 
 
 def _chosen(path: PathLike, named: dict[str, Array]) -> list[Array]:
-    filled = {name: array for name, array in named.items() if array.size or not name}  # remap takes an empty map2
+    filled = {name: array for name, array in named.items() if array.size or not name}  # map2 may be empty for remap
     if len(filled) == 1:
         return list(filled.values())
     plain = {name.lower().replace("_", ""): array for name, array in filled.items()}
@@ -161,15 +161,14 @@ def _planes(path: PathLike, arrays: list[Array]) -> tuple[Array, Array]:
 
 
 def read_stmap(path: PathLike, grids: Grids) -> tuple[Content, ...]:
-    """Read an STMap, in pixels; beyond its edges, it goes on as at the edge.
+    """Read an STMap, in pixels; beyond its edges, displacements are those of the edge.
 
-    It is an ``.exr`` of 16 or 32 bits, of which half floats are exact to about a 4000th of the source; a ``.tif``,
-    ``.tiff`` or ``.png`` of 16 bits, exact to half a 65535th of the source; or a ``.tif`` of 32. Blue is not read.
-    Neither is opacity if it is the same everywhere, as in maps that were made without it: where it is transparent, a
-    map is not defined.
+    It is an ``.exr`` of 16 or 32 bits (half floats are exact to about 1/4000 of the source's size); a ``.tif``,
+    ``.tiff`` or ``.png`` of 16 bits (exact to half of 1/65535); or a ``.tif`` of 32 bits. Blue is ignored, and so is
+    constant opacity. Opacity that varies is an error, as a map is undefined where it is transparent.
 
-    1 stands for the width and the height of the source; by default, of the map. An EXR's are those of its display
-    window; pixels beyond it (overscan) are kept.
+    1 stands for the width and the height of the source, by default those of the map, for an EXR those of its display
+    window; pixels beyond that window (overscan) are kept.
     """
     suffix = Path(path).suffix.lower()
     check_suffix(path, suffix, STMAP, "is of no STMap", f"use {', '.join(STMAP)}", "read")
@@ -190,8 +189,8 @@ def read_stmap(path: PathLike, grids: Grids) -> tuple[Content, ...]:
 def write_stmap(path: PathLike, contents: Sequence[Content], grids: Grids, *, force: bool = False) -> None:
     """Write an STMap, with blue at 0; 1 stands for the width and the height of the source, by default the field's.
 
-    An ``.exr`` is of 32-bit floats; ``.tif`` and ``.tiff`` of 16-bit integers, which round positions to half a 65535th
-    of the source: to 0.03 pixels, if it is 4096 wide. They hold no positions outside of it.
+    An ``.exr`` has 32-bit floats; ``.tif`` and ``.tiff`` have 16-bit integers, with an error of up to half of 1/65535
+    of the source's size (0.03 pixels for 4096), and cannot hold positions outside the source.
     """
     suffix = Path(path).suffix.lower()
     check_suffix(path, suffix, _STMAP_OUT, "is of no STMap", f"use {', '.join(_STMAP_OUT)}")
@@ -245,7 +244,7 @@ def _of_exr(path: PathLike) -> _Planes:
 
 
 def _pairs(names: dict[str, Any]) -> list[tuple[str, str]]:
-    """Return the channels of s and t: red and green, or others without a layer, or else those of all layers."""
+    """Return the candidate pairs of channels for s and t: R and G, else other pairs without a layer, else all pairs."""
     found = []
     for name in names:
         layer, dot, channel = name.rpartition(".")

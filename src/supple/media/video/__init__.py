@@ -1,4 +1,4 @@
-"""Videos: frames decoded in order, in their stored planes, and encoded anew."""
+"""Video files: frames are decoded in order, as planes of the stored pixel format, and encoded again."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ _MOST = 1000  # frames a second; higher rates are tick counts
 
 
 class Clip(VideoSource):
-    """An open video file: its film, and its other contents; see `open_clip`."""
+    """An open video file: its main video stream, called the film, and its other streams; see `open_clip`."""
 
     codec: str  # such as "h264"
     pixel_format: str  # as it is decoded, such as "yuv420p"
@@ -89,7 +89,7 @@ class Clip(VideoSource):
             warnings.warn(f"{self.name} {what}", ClipWarning, stacklevel=4)
 
     def _lasting(self, delays: Sequence[Fraction]) -> None:
-        """Use exact durations of frames, if there is one for each."""
+        """Set the times of frames from their exact durations in seconds, if there is one for each frame."""
         unit = math.lcm(*(each.denominator for each in delays))
         self._starts: list[int] = []
         if delays and len(delays) == self.count and unit < _FINEST:
@@ -130,7 +130,7 @@ class Clip(VideoSource):
         self.mirrored = a * d < b * c
         sign = -1 if self.mirrored else 1
         self.rotation = -round(math.degrees(math.atan2(sign * b, sign * a)))
-        # the frame knows what is shown first, and the stream, or the container, in which order fields are coded
+        # frames store which field is shown first; streams or containers store the order in which fields are coded
         self.fields = first_field(frame) or {2: "top", 3: "bottom", 4: "bottom", 5: "top"}.get(self.field_order, "")
         if self.fields and self.field_order < 2:
             self.field_order = 2 if self.fields == "top" else 3
@@ -154,26 +154,26 @@ class Clip(VideoSource):
                 assert isinstance(made, av.VideoCodecContext)
                 context = made
         context.thread_count = count
-        # with frame threads, one damaged frame takes others along
+        # with threads by frame, a damaged frame damages others
         context.thread_type = "SLICE" if self._sturdy else "AUTO"
         return context
 
     def _lost(self, found: int) -> str:
-        """Return a description of the lost frames."""
+        """Return a description of the lost frames, for messages."""
         promised = self.survey.count + self.survey.missing
         lost, whole = (float(number / self.rate) for number in (promised - found, promised))
         be = "is" if promised - found == 1 else "are"
         return f"{promised - found} of its {promised} frames ({lost:.2f} of {whole:.2f} s) {be} lost"
 
     def time(self, k: int) -> tuple[int, int]:
-        """Return the start and the duration of frame `k` in ticks of `base`, once, in order."""
+        """Return the start and the duration of frame `k` in ticks of `base`; call it once for each frame, in order."""
         assert self._times is not None
         assert self._times.kept, "the frame has not been read"
         found = self._times.kept.popleft()
         return (self._starts[k], self._starts[k + 1] - self._starts[k]) if self._starts else found
 
     def packet(self, k: int) -> av.Packet[Any] | None:
-        """Return the packet that frame `k` alone was decoded from, once, in order; None if there is none."""
+        """Return the packet of frame `k` alone, or None; call it once for each frame, in order."""
         return self._packets.popleft() if self._packets else None
 
     def frames(self) -> Iterator[LazyFrame]:
@@ -195,7 +195,7 @@ class Clip(VideoSource):
         counted = demux.is_counted(self.source)
         shown_at: deque[int] = deque()
         copies = self.copies
-        sent: dict[int | None, av.Packet[Any] | None] = {}  # packets in the decoder, by their time
+        sent: dict[int | None, av.Packet[Any] | None] = {}  # packets in the decoder, by pts; None if ambiguous
         self._packets.clear()
         found = bad = 0
         self._pump = demux.packets(self.source, [film, *others])
@@ -204,7 +204,7 @@ class Clip(VideoSource):
             if packet is not None and counted and packet.dts is not None:
                 shown_at.append(packet.dts)
             if copies and packet and packet.pts is not None and packet.is_keyframe and not packet.is_corrupt:
-                sent[packet.pts] = None if packet.pts in sent else packet  # a time of two packets is ambiguous
+                sent[packet.pts] = None if packet.pts in sent else packet  # two packets of one pts are ambiguous
             decoded = demux.decoded_by(decoder, packet)
             if decoded is None:
                 bad += 1
@@ -250,20 +250,20 @@ class Clip(VideoSource):
             for pts, picture in self._sought(known.starts[key]):  # closed when the generator is dropped
                 number = -1 if pts is None else known.numbers.get(pts, -1)
                 if key <= number < due or (pts is not None and pts < known.starts[key]):
-                    continue  # before `k`; or before the key frame, without its references
+                    continue  # before `k`; or shown before the key frame, and lacks its references
                 if number != due:
                     break
                 yield due, picture
                 due += 1
             if due == self.count:
                 return
-            self._index = None  # it is wrong
+            self._index = None  # the index is wrong
         for number, picture in enumerate(self.frames()):
             if number >= due:
                 yield number, picture
 
     def _sought(self, start: int) -> Iterator[tuple[int | None, LazyFrame]]:
-        """Decode from a key frame on, in a container of its own; yield nothing if it is not found there."""
+        """Yield frames with their pts from a key frame on, read by a second container; nothing if seeking fails."""
         with demux.opened(self.path) as container, contextlib.suppress(av.FFmpegError):
             film = demux.chosen(container, self.path)
             container.seek(start, stream=film)
@@ -304,7 +304,7 @@ class Clip(VideoSource):
     def _check(self, frame: av.VideoFrame, k: int | str = "") -> None:
         now = f"{frame.width}x{frame.height} {frame.format.name}"
         first = f"{self.width}x{self.height} {self.pixel_format}"
-        if now != first:  # decoders drop delayed frames there: the number is not exact
+        if now != first:  # decoders drop delayed frames at a change, so the number is inexact
             what = f"its frames change at about frame {k}, from {first} to {now}"
             raise unreadable(self.path, what, "cut it where they do, and warp the parts")
 
@@ -317,7 +317,7 @@ class Clip(VideoSource):
 
     @property
     def unpictured(self) -> tuple[str, ...]:
-        """Streams that have no place in images of its frames."""
+        """The streams that are lost when frames are written as images."""
         held = {stream.type for stream in self.source.streams}
         found = [name for kind, name in (("audio", "sound"), ("subtitle", "subtitles")) if kind in held]
         return (*found, *(["timecode"] if self.timecode else []))
@@ -327,7 +327,7 @@ class Clip(VideoSource):
         return np.rot90(pixels[:, ::-1] if self.mirrored else pixels, round(self.rotation / 90))
 
     def painted(self, values: Sequence[float]) -> tuple[float, ...]:
-        """Convert grey or RGB, in the depth of the clip, and opacity, to components of the layout."""
+        """Convert a grey or RGB colour in the clip's depth, with or without opacity, to components of the layout."""
         return painted(self.form, self.colour, self.height, values)
 
     def info(self) -> dict[str, Any]:
@@ -380,7 +380,7 @@ class Clip(VideoSource):
 
 
 def said_of(film: Any, key: str) -> str | None:
-    """Return metadata of a stream or a file, for any case of its key."""
+    """Return metadata of a stream or a file by its key, ignoring case; None if missing."""
     return next((value for name, value in film.metadata.items() if name.lower() == key), None)
 
 

@@ -23,7 +23,7 @@ RGB, BT709, UNKNOWN, BT601, BT2020 = 0, 1, 2, 6, 9  # AVColorSpace
 _RESERVED = (0, 3)  # of primaries and transfers
 _BT2020_PRIMARIES, _PQ, _HLG = 9, 16, 18
 _LEVEL, _USUAL = 40, 32  # AV_LOG_VERBOSE reports the chroma siting; AV_LOG_INFO is the default
-# the position of the first chroma sample, in steps from the top left luma sample to the middle of its box
+# the first chroma sample's position, x first: 0 at the top left luma sample, 1 at the middle of its block of pixels
 _SITES = {
     "left": (0.0, 1.0), "center": (1.0, 1.0), "topleft": (0.0, 0.0), "top": (1.0, 0.0),
     "bottomleft": (0.0, 2.0), "bottom": (1.0, 2.0),
@@ -45,7 +45,7 @@ class Colour:
     site: str = ""  # "left", "topleft", ...; empty for unknown
 
     def full(self, form: Form) -> bool:
-        """Return whether samples use their whole range."""
+        """Return whether samples have full range."""
         return self.range == FULL or form.name.startswith("yuvj") or form.kind.family in ("rgb", "xyz")
 
     def coefficients(self, height: int) -> int:
@@ -68,7 +68,7 @@ class Colour:
         frame.color_primaries, frame.color_trc = self.primaries, self.transfer
 
 
-# Kept: PyAV tells no place of chroma (test_siting_is_read_and_written), and no numbers of side data.
+# Kept: PyAV gives neither chroma siting (test_siting_is_read_and_written) nor the values of side data.
 def described(container: av.container.Container, index: int) -> str:
     """Return FFmpeg's description of a stream; some of it, such as the chroma siting, is not available otherwise."""
     with _lock:  # the level is global
@@ -96,8 +96,8 @@ def named_site(description: str) -> str:
 def sited(colour: Colour, codec: str, kind: Kind) -> str:
     """Return the chroma siting: the file's, or the codec's default.
 
-    Of 4:2:0, codecs that are `centred` site it in the centre of its pixels; HEVC and AV1 with the colours of BT.2020
-    at their top left; all others, MPEG-2, H.264, HEVC, VP9, AV1, at their left.
+    Default for 4:2:0: the centre of the pixels for codecs that are `centred`; the top left for HEVC and AV1 with the
+    colours of BT.2020; the left for all others (MPEG-2, H.264, HEVC, VP9, AV1).
     """
     x, y = kind.step
     if colour.site:
@@ -112,8 +112,8 @@ def sited(colour: Colour, codec: str, kind: Kind) -> str:
 def siting(site: str, kind: Kind) -> tuple[float, float]:
     """Return the position of the first chroma sample, in pixels of the frame.
 
-    At the left, that is (0, 0.5) for 4:2:0. Chroma of 4:2:2 and 4:1:1 lies on the leftmost of its pixels, (0, 0), and
-    that of 4:4:0 between two lines, (0, 0.5).
+    For 4:2:0 at the left, it is (0, 0.5). For 4:2:2 and 4:1:1, it is the leftmost of its pixels, (0, 0); for 4:4:0,
+    between two lines, (0, 0.5).
     """
     x, y = kind.step
     across, down = _SITES[site]
@@ -121,14 +121,14 @@ def siting(site: str, kind: Kind) -> tuple[float, float]:
 
 
 def black(form: Form, colour: Colour) -> tuple[float, ...]:
-    """Return the value of each component in black, in the order of a layout's groups; that of opacity is 0."""
+    """Return the components of black, in the order of a layout's groups, with an opacity of 0."""
     return painted(form, colour, 0, [0.0] * (3 + form.kind.alpha))
 
 
 def painted(form: Form, colour: Colour, height: int, values: Sequence[float]) -> tuple[float, ...]:
-    """Convert a colour of RGB or grey, each from 0 to the largest sample, to components in the order of `black`.
+    """Convert an RGB or grey colour, with values from 0 to the largest sample, to components in the order of `black`.
 
-    After red, green and blue, or grey, opacity may follow.
+    Opacity may be the last value.
     """
     kind = form.kind
     colours = 3 if len(values) > 2 else 1
@@ -149,13 +149,13 @@ def painted(form: Form, colour: Colour, height: int, values: Sequence[float]) ->
 
 
 def to_rgb(arrays: Sequence[Array], staging: Form, colour: Colour, shape: tuple[int, int], deep: bool = False) -> Array:
-    """Return a frame as RGB of 8 bits, or of 16 if `deep`, by its own matrix and range, without its opacity."""
+    """Return a frame as RGB of 8 bits, or of 16 if `deep`, without opacity; its own matrix and range are used."""
     height, width = shape
-    if staging.kind.family == "gray" and colour.range == LIMITED:  # unknown to libswscale
+    if staging.kind.family == "gray" and colour.range == LIMITED:  # libswscale does not support it
         white, low, unit = 65535 if deep else 255, *(level * 2.0 ** (staging.kind.bits - 8) for level in (16, 219))
         grey = np.clip((arrays[0][..., :1] - np.float32(low)) * np.float32(white / unit) + 0.5, 0, white)
         return np.repeat(grey.astype(np.uint16 if deep else np.uint8), 3, axis=2)
-    # in 8 bits, libswscale turns very bright colours black, and dithers
+    # 16 bits: in 8, libswscale dithers, and very bright colours become black
     wide = deep or staging.kind.family == "yuv" or staging.kind.bits > 8
     goal, item = (form("rgb48le"), "<u2") if wide else (form("rgb24"), "u1")
     assert goal is not None
@@ -189,7 +189,7 @@ def recast(
         "flags": _FLAGS,
     }
     frame = pack(arrays, staging, av.VideoFrame(width, height, staging.name))
-    scale = ":".join(f"{key}={value}" for key, value in settings.items())  # unlike `reformat`, with the chroma siting
+    scale = ":".join(f"{key}={value}" for key, value in settings.items())  # `reformat` would ignore the chroma siting
     made = filtered(frame, ("scale", scale), ("format", f"pix_fmts={target.name}"))
     assert made is not None
     meant.mark(made)
@@ -233,7 +233,7 @@ class Grading:
 
     def words(self, names: tuple[str, str]) -> list[str]:
         """Return the values as parameters of an encoder with these names."""
-        made, real = [], names[1] == "content-light"  # SVT-AV1 takes units, others fractions of them
+        made, real = [], names[1] == "content-light"  # SVT-AV1 takes real units, others integers in fractions of these
         if self.screen:
             told = [f"{v / 50000:.5f}" if real else f"{v}" for v in self.screen[:8]]
             dark, bright = (f"{v / 10000:.4f}" if real else f"{v}" for v in self.screen[8:])
@@ -263,7 +263,7 @@ def graded(frame: av.VideoFrame) -> Grading:
 
 
 def side_data(frame: av.VideoFrame, kind: str) -> bytes | None:
-    """Return a piece of side data of a frame, if it has it."""
+    """Return the bytes of a frame's side data of a kind; None if it has none."""
     try:
         found: Any = frame.side_data
         return bytes(found[kind])

@@ -1,4 +1,4 @@
-"""Video files as packets: opened, counted, set to one clock, and sought by frame times."""
+"""Video files as packets: opening, counting, correcting their times, and finding frames by time."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ from supple.media.codecs import codec_of
 from supple.media.files import PathLike, head_of, unreadable
 
 _ADVICE = "give a whole video file, such as MP4, MOV, MKV, WebM or AVI"
-_TEXT = frozenset(("ansi", "bintext", "xbin", "idf"))  # text that FFmpeg would decode as a film of a terminal
-_LISTS = frozenset(("concat", "hls", "dash", "imf"))  # text that refers to other files, or addresses
+_TEXT = frozenset(("ansi", "bintext", "xbin", "idf"))  # text that FFmpeg would render as a terminal
+_LISTS = frozenset(("concat", "hls", "dash", "imf"))  # lists that refer to other files or URLs
 _DISCONTINUOUS: int = getattr(FormatFlags.ts_discont, "value", 0)
-_SLOPPY = 3  # missing frames of an intact file
+_SLOPPY = 3  # frames that may be missing from an intact file
 _JUMP = 10  # seconds: longer than any gap in intact streams
 _BACK = Fraction(1, 10)
 _PICTURES = av.stream.Disposition.attached_pic | av.stream.Disposition.timed_thumbnails
@@ -41,7 +41,7 @@ def opened(path: PathLike) -> av.container.InputContainer:
     """Open a video file; SuppleError if it is missing, empty, no plain file, damaged at its start, or no video."""
     head_of(path, 1, _ADVICE, _ADVICE)
     try:
-        # names with a colon are not addresses: an absolute path never is one
+        # an absolute path, so that a name with a colon is not read as a URL
         name, limits = str(Path(path).absolute()), {"protocol_whitelist": "file"}
         container = av.open(name, "r", container_options=limits, metadata_errors="surrogateescape")
     except (av.FFmpegError, ValueError, MemoryError) as error:
@@ -54,7 +54,7 @@ def opened(path: PathLike) -> av.container.InputContainer:
 
 
 def chosen(container: av.container.InputContainer, path: PathLike) -> av.VideoStream:
-    """Return the first stream that is a film, not a cover image; SuppleError if none can be decoded."""
+    """Return the first video stream that is not a cover image; SuppleError if there is none, or no decoder for it."""
     films = [stream for stream in container.streams.video if not stream.disposition & _PICTURES]
     if not films:
         kinds = {stream.type for stream in container.streams}
@@ -72,7 +72,7 @@ def chosen(container: av.container.InputContainer, path: PathLike) -> av.VideoSt
 class Survey:
     """The count, duration and damage of a video stream, from its packets."""
 
-    packets: int  # the number of decoded packets
+    packets: int  # the number of packets to decode
     count: int  # the number of shown frames
     duration: Fraction  # seconds from the start of the first frame to the end of the last
     damaged: bool  # whether the file is truncated
@@ -82,7 +82,7 @@ class Survey:
     missing: int = 0  # the number of lost frames, if the file is truncated
 
 
-# Kept: FFmpeg ends without a word where a GIF does (test_a_cut_gif_is_used_with_a_warning).
+# Kept: FFmpeg does not report a truncated GIF (test_a_cut_gif_is_used_with_a_warning).
 def _ends(path: str) -> bool:
     """Return whether a GIF has its trailer."""
     with open(path, "rb") as file:
@@ -91,9 +91,9 @@ def _ends(path: str) -> bool:
         return file.read().rstrip(b"\0").endswith(b";")
 
 
-# Kept: FFmpeg obeys it or not, but does not tell it (test_how_often_it_plays_comes_through).
+# Kept: FFmpeg does not report the number of repetitions (test_how_often_it_plays_comes_through).
 def plays_of(container: av.container.InputContainer) -> int | None:
-    """Return how often an animation plays, 0 for ever; None for a film."""
+    """Return the number of times that an animation plays, 0 for ever; None for other videos."""
     kind = container.format.name
     if kind not in ("gif", "apng"):
         return None
@@ -106,9 +106,9 @@ def plays_of(container: av.container.InputContainer) -> int | None:
         return 1 if again is None else again and again + 1
 
 
-# Kept: FFmpeg rounds them (test_times_of_a_film_are_kept).
+# Kept: FFmpeg rounds these durations (test_times_of_a_film_are_kept).
 def delays_of(container: av.container.InputContainer) -> list[Fraction]:
-    """Return the seconds that each frame of an animated PNG lasts; nothing of another file, or if one has none."""
+    """Return the duration of each frame of an animated PNG in seconds; empty for other files, or if one is missing."""
     found, at = [], 8
     if container.format.name == "apng":
         with open(container.name, "rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
@@ -128,14 +128,14 @@ def _attend(container: av.container.InputContainer, streams: Sequence[av.stream.
 
 
 def is_counted(container: av.container.InputContainer) -> bool:
-    """Return whether frames have positions, not times; pauses count as frames."""
+    """Return whether packets store frame numbers instead of times, so that pauses count as frames."""
     return container.format.name == "avi"
 
 
 def survey(
     container: av.container.InputContainer, film: av.VideoStream, decoder: av.VideoCodecContext
 ) -> tuple[Survey, av.VideoFrame | None]:
-    """Count the frames of a film by its packets; return the first that is decoded, too."""
+    """Count the frames of a film by its packets; also return the first decoded frame."""
     _attend(container, [film])
     hidden = film.codec_context.codec.canonical_name == "vp8"
     packets = count = 0
@@ -167,19 +167,19 @@ def survey(
     damaged |= container.format.name == "gif" and not _ends(container.name)
     base = film.time_base or Fraction(1)
     span = Fraction(last - first) * base if first is not None and last is not None else Fraction(0)
-    if sums_up(container):  # of VP9, packets do not say how long they last
+    if sums_up(container):  # VP9's packets have no durations
         span = (total or film.duration or 0) * base or span
     told = _told(film)
-    end = span if last is None else max(span, last * base)  # its duration may count from zero
+    end = span if last is None else max(span, last * base)  # Matroska's duration may count from zero
     reached = last if is_counted(container) and last is not None else packets
     missing = film.frames - max(reached, packets) if film.frames else 0
     if told is not None and packets > 0 and span > 0:
         missing = round((told - end) * packets / span)
-    # Samples excluded by an edit list of an MP4 are not missing: there, an incomplete packet shows truncation.
+    # In an MP4, an edit list may exclude samples: only an incomplete packet shows truncation.
     cut = missing > _SLOPPY and (suspect or damaged or not sums_up(container))
     starts.sort()
     steps = [b - a for a, b in itertools.pairwise(starts)]
-    # whether they differ from even spacing by more than rounding and a tenth of a frame
+    # whether spacings differ by more than rounding and a tenth of a frame
     varies = len(steps) > 1 and max(steps) - min(steps) > max(2, sorted(steps)[len(steps) // 2] / 10)
     seconds = tuple(float((start - starts[0]) * base) for start in starts) if varies else ()
     broken = damaged or cut
@@ -188,12 +188,12 @@ def survey(
 
 
 def sums_up(container: av.container.InputContainer) -> bool:
-    """Return whether a packet's duration lasts until the next is decoded, not until the next is shown."""
+    """Return whether a packet's duration is the time to the next decoding time, not to the next display time."""
     return "mp4" in container.format.name
 
 
 def _told(film: av.VideoStream) -> Fraction | None:
-    """Return the duration of a film in Matroska's tags, which is kept when the file is cut."""
+    """Return the duration of a film in Matroska's tags, which survives truncation of the file; None if missing."""
     found = re.fullmatch(r"(\d+):(\d\d):(\d\d(?:\.\d+)?)", film.metadata.get("DURATION", ""))
     return int(found[1]) * 3600 + int(found[2]) * 60 + Fraction(found[3]) if found else None
 
@@ -201,7 +201,7 @@ def _told(film: av.VideoStream) -> Fraction | None:
 class Clock:
     """One clock for all streams of a file: broadcasts start at any time, and jump at joins.
 
-    Times of MPEG-TS, MPEG-PS and the like are shifted to begin at zero. All others are kept.
+    Times in MPEG-TS, MPEG-PS and similar formats are shifted to begin at zero; other formats keep their times.
     """
 
     def __init__(self, container: av.container.InputContainer) -> None:
@@ -211,7 +211,7 @@ class Clock:
         self._due: dict[int, Fraction] = {}
 
     def set(self, packet: av.Packet[Any], continuous: bool) -> None:
-        """Shift the times of a packet to the clock, which jumps at gaps of `continuous` streams (sound, video)."""
+        """Shift the times of a packet to the clock; jumps in `continuous` streams (sound, video) are closed."""
         when = packet.dts if packet.dts is not None else packet.pts
         if not self._broadcast or when is None:
             return
@@ -272,7 +272,7 @@ class Times:
             self.kept.append((start, length))
 
     def left(self, pts: int | None, span: int) -> int | None:
-        """Return the duration of the last frame, for a total of `span` ticks; None if that is not plausible."""
+        """Return the duration of the last frame, shown at `pts`, for a total of `span` ticks; None if not positive."""
         if pts is None or self._first is None or span <= pts - self._first:
             return None
         return span - (pts - self._first)
@@ -288,7 +288,7 @@ class Index:
     """The index of the frames of a film by time."""
 
     starts: tuple[int, ...]  # display times, in ticks of the stream, in order
-    # frames at which decoding may begin; frames shown before one, but stored after it, may depend on earlier ones
+    # key frames, at which decoding may begin; frames shown before one but stored after it may need earlier ones
     keys: tuple[int, ...]
     numbers: dict[int, int] = field(init=False, repr=False)
 

@@ -1,4 +1,4 @@
-"""The output of a clip: frames encoded, other streams copied, times kept."""
+"""The writer of videos: it encodes frames, copies other streams, and keeps times."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from supple.media.video.planes import form, pack
 from supple.media.video.source import Stills, VideoSource
 from supple.media.video.streams import Passage, kept_tags, titled
 
-_FELT = Fraction(1, 4)  # of a frame: a larger error of time is reported
+_FELT = Fraction(1, 4)  # of a frame: larger errors of time are reported
 
 
 class Palettes:
@@ -54,7 +54,7 @@ class Palettes:
 
 
 class Sink:
-    """The output of a film; see `writer`."""
+    """A sink of a video's frames; see `writer`."""
 
     aside = True
 
@@ -64,9 +64,9 @@ class Sink:
         self._times: dict[int, tuple[int, int]] = {}
 
         self.copied = 0  # frames copied as packets of the source
-        self._due: dict[int, av.Packet[Any] | None] = {}  # packets in order; None while a frame is encoded
-        self._blank = av.VideoFrame(video.width, video.height, plan.match.form.name)  # memory that is used again
-        self._halved = False  # whether partial opacity has occurred
+        self._due: dict[int, av.Packet[Any] | None] = {}  # packets by stamp, in order; None while encoding
+        self._blank = av.VideoFrame(video.width, video.height, plan.match.form.name)  # reused
+        self._halved = False  # whether partial opacity has been warned of
         self._drift, self._origin = Fraction(0), Fraction(0)  # largest error of a time, and first time, in seconds
         self._tick: int | None = None
         self._newest = 0
@@ -86,7 +86,7 @@ class Sink:
             self._passage = Passage(video.source, video.index, self._output, plan.container, plan.target)
             video.passage, video.copies = self._passage, self.copies
             self._output.metadata.update(kept_tags(video.source.metadata if video.source else {}))
-            if plan.timecode:  # MP4 has one for each film
+            if plan.timecode:  # MP4 stores it in the stream
                 (self._stream if plan.container.mp4 else self._output).metadata["timecode"] = plan.timecode
             chapters = video.chapters()
             if chapters and plan.container.chapters:
@@ -119,12 +119,12 @@ class Sink:
         video, codec, context = self._video, self._plan.encoder.codec, self._stream.codec_context
         if not (codec_of(codec).alone and codec == video.codec and self._plan.match.same):
             return False
-        # frames of DNxHD have all, and MOV adds atoms
+        # frames of DNxHD contain their header; its extradata differ, as MOV adds atoms
         alike = context.pix_fmt == video.form.name and (codec == "dnxhd" or (context.extradata or b"") == video.header)
         return alike and (codec not in ("prores", "dnxhd") or context.profile == video.profile)
 
     def write(self, arrays: Sequence[Array], k: int, *, still: bool = False) -> None:
-        """Encode frames in order, of samples in the clip's layout; or copy the packet of an unchanged one."""
+        """Encode frame `k` from arrays in the clip's layout, or copy its packet if `still`; frames come in order."""
         pts, duration = self._video.time(k)
         packet = self._video.packet(k)
         stamp = self._stamp(k, pts, duration)
@@ -136,7 +136,7 @@ class Sink:
                 if not busy:
                     self._mux([])
                     return
-                # Otherwise it is encoded too, to flush delayed frames of the encoder.
+                # While earlier frames are in the encoder, it is encoded too, which flushes them.
         frame = self._frame(arrays)
         frame.time_base = self._stream.codec_context.time_base
         frame.pts = stamp
@@ -164,7 +164,7 @@ class Sink:
         return self._fielded(frame)
 
     def _fielded(self, frame: av.VideoFrame) -> av.VideoFrame:
-        """Return a frame that says which of its fields is first."""
+        """Return a frame tagged with the field that is shown first."""
         if not self._plan.fields:
             return frame
         made = filtered(frame, ("setfield", f"{self._plan.fields[0]}ff"))
@@ -187,7 +187,7 @@ class Sink:
     def _stamp(self, k: int, pts: int, duration: int) -> int:
         """Return the time for the encoder, and record the time for the file."""
         plan = self._plan
-        if plan.base != self._video.base:  # times are rounded to the container's ticks, each by itself
+        if plan.base != self._video.base:  # round each time to the container's ticks, independently of the others
             scale = self._video.base / plan.base
             start, end = round(pts * scale), round((pts + duration) * scale)
             start = start if self._tick is None else max(start, self._tick + 1)
@@ -197,10 +197,10 @@ class Sink:
             self._drift = max(self._drift, abs(off - self._origin))
             pts, duration = start, max(1, end - start)
         stamp = pts if plan.timed else k
-        if self._newest in self._times:  # shown until the next one
+        if self._newest in self._times:  # a frame lasts until the next one
             before = self._times[self._newest][0]
             unit, gap = self._stream.time_base, (pts - before) * plan.base
-            if unit and gap > plan.container.longest * unit:  # it would overflow
+            if unit and gap > plan.container.longest * unit:  # the tick count would overflow
                 what = f"frame {k} comes {float(gap):.0f} s after the one before, which is longer than it can say"
                 raise unwritable(plan.target, what, "choose another container, such as .mkv")
             self._times[self._newest] = (before, pts - before)
@@ -241,13 +241,13 @@ class Sink:
             packet.stream = self._stream
             needed = pts if dts is None else dts
             self._decoding = (self._decoding[0] if self._decoding else needed, needed)
-            if last and packet is packets[-1]:  # MP4 adds up the durations of packets
+            if last and packet is packets[-1]:  # MP4's total duration is the sum over packets
                 packet.duration = max(1, self._span[1] - self._span[0] - (needed - self._decoding[0]))
             self._passage.write(needed * plan.base)
             self._output.mux_one(packet)
 
     def _decoded(self, number: int | None, pts: int) -> int:
-        """Return the decoding time of a packet for a frame number."""
+        """Return the decoding time of a packet whose encoder counts frames, from the frame `number` in its dts."""
         if number is None:
             return pts
         if number in self._times:
@@ -284,11 +284,11 @@ def writer(
     force: bool = False,
     **settings: Any,
 ) -> Iterator[Sink]:
-    """Write a clip with new frames and its other contents; or write images as a film.
+    """Write a clip with new frames and its other streams; or write images as a video.
 
-    The sink's ``write(arrays, k)`` takes the frames k = 0, 1, 2, …; each frame of a video after it has been yielded by
-    ``frames``. SuppleError if an option is not supported, or the file cannot be written; a `ClipWarning` if a part of
-    the source cannot be kept. Images have their constant rate; their opacity is kept if the codec supports it.
+    Call the sink's ``write(arrays, k)`` for k = 0, 1, 2, …; for a video, after ``frames`` has yielded frame k.
+    SuppleError if an option is not supported, or the file cannot be written; a `ClipWarning` if a part of the source
+    cannot be kept. Images get a constant rate; their opacity is kept if the codec supports it.
 
     The suffix of ``target`` chooses MP4, MOV, MKV, WebM, AVI or GIF; ``settings`` are those of `WritePlan`.
     """

@@ -38,16 +38,16 @@ from supple.media.video.source import VideoSource
 
 _FINEST = 1_000_000  # the finest ticks a second that encoders handle well
 _TICKS = 50_000_000  # a second, the most in MP4
-_DELAYED = 3  # frames: with fewer, x265 reports wrong decoding times, if it may reorder them
+_DELAYED = 3  # frames: in shorter clips, x265 reports wrong decoding times, unless reordering is off
 _TIMECODE = re.compile(r"\d+:\d\d:\d\d([:;.])(\d+)")
-_SLICED = 16  # pixels along each side that FFV1 needs for slices
+_SLICED = 16  # the smallest width and height that FFV1 can slice
 _PACES = 8  # ticks for each frame in AVI, so that frames keep their times
 _CHROMA = {(1, 1): "4:4:4", (2, 1): "4:2:2", (2, 2): "4:2:0", (4, 1): "4:1:1", (4, 4): "4:1:0", (1, 2): "4:4:0"}
 os.environ.setdefault("SVT_LOG", "0")  # otherwise it prints to the terminal
 
 
 def container_of(target: PathLike) -> Container:
-    """Return the container of a name, by its suffix; SuppleError if it is not one of video."""
+    """Return the container for a file name, by its suffix; SuppleError if it is not a video format."""
     suffix, known = Path(target).suffix, {suffix: each for each in CONTAINERS for suffix in each.suffixes}
     check_suffix(target, suffix, known, "is no video format", f"use {', '.join(CLIPS_OUT)}")
     return known[suffix.lower()]
@@ -57,7 +57,7 @@ def container_of(target: PathLike) -> Container:
 def _found(name: str) -> av.Codec | None:
     try:
         found = av.Codec(name, "w")
-    except ValueError:  # UnknownCodecError is one
+    except ValueError:  # the base class of UnknownCodecError
         return None
     return found if found.type == "video" else None
 
@@ -69,7 +69,7 @@ def _pixel_formats(encoder: str) -> list[str]:
 
 
 def _usable(container: Container) -> dict[str, str]:
-    """Return the codecs of the table that a container holds, with their encoders here."""
+    """Return the codecs of the table that a container can hold, with their available encoders."""
     held = _held(container)
     return {name: row.encoder for name, row in CODECS.items() if row.encoder in held and _found(row.encoder)}
 
@@ -86,24 +86,24 @@ def _joined(*parts: str | None) -> str:
 
 
 def _having(container: Container, what: str) -> list[str]:
-    """Return the codecs that a container holds, and whose encoder has a property."""
+    """Return the codecs that a container can hold and whose encoder has a property, an attribute of `Encoder`."""
     found = {name: getattr(ENCODERS.get(encoder), what, None) for name, encoder in _usable(container).items()}
     return [name for name, value in found.items() if value not in (None, ())]
 
 
 def _exact_in(container: Container) -> str:
-    """Return the codecs for lossless output; of another container, if this one holds none."""
+    """Return advice on the codecs for lossless output in a container, or else in another one."""
     return ", ".join(_having(container, "exact")) or "ffv1 in .mkv"
 
 
 def _without(container: Container, what: str) -> str:
-    """Return what would do where an encoder does not have an option."""
+    """Return advice for an option that an encoder does not have."""
     others = _having(container, what)
     return "leave it out" + (f", or use a codec that has: {', '.join(others)}" if others else "")
 
 
 def _read_as(name: str, container: Container, height: int) -> Colour:
-    """Return the players' interpretation of YUV samples; tags that the file supports are left unknown."""
+    """Return how players interpret YUV samples, as far as the file has no tags for it; the rest is unknown."""
     codec, matrix = codec_of(name), UNKNOWN
     silent = container.counted and not codec.colours
     if codec.bt601:
@@ -121,19 +121,19 @@ class Match:
     form: Form  # the encoder's pixel format
     colour: Colour  # the interpretation of its samples
     same: bool  # whether samples are unchanged
-    lost: Sequence[str] = ()  # losses, except opacity
+    lost: Sequence[str] = ()  # losses other than opacity, in words
     opacity: bool = False  # whether opacity, if any, is lost
-    instead: str = ""  # a nearer pixel format, which the encoder does not take at this size
+    instead: str = ""  # why a nearer pixel format is not used, in words
 
 
 class WritePlan:
     """The settings of a clip's output, all checked.
 
     ``codec`` names a codec or an encoder, such as ``"h264"``, ``"libx264"``, ``"ffv1"``: by default that of the source,
-    or the default of the container; ``crf`` is its constant rate factor (lower is better), and ``preset`` its preset of
-    speed. ``pixel_format`` is by default that of the source, or the nearest of the codec; lossy codecs write images as
-    YUV, in 4:2:0 if possible, in the limited range of BT.709. With ``lossless``, it is FFV1, unless a lossless codec is
-    named. SuppleError if an option is not supported; a `ClipWarning` if a part of the source cannot be kept.
+    or the default of the container; ``crf`` is its constant rate factor (lower is better), and ``preset`` its speed
+    preset. ``pixel_format`` is by default that of the source, or the nearest that the codec supports; lossy codecs
+    write images as YUV, 4:2:0 if possible, in the limited range of BT.709. With ``lossless``, the codec is FFV1, unless
+    one is named. SuppleError if an option is not supported; a `ClipWarning` if a part of the source cannot be kept.
     """
 
     def __init__(
@@ -186,7 +186,7 @@ class WritePlan:
             self.match = replace(self.match, colour=replace(self.match.colour, site=site))
 
     def _say_codec(self, asked: str | None) -> None:
-        """Warn of a codec that is neither the source's nor the user's; GIF and WebM hold few, as their names say."""
+        """Warn if the codec is neither the source's nor the user's; not for GIF, or containers of few codecs (WebM)."""
         used, source = self.encoder.codec, self.video.codec
         expected = used in (source, "gif", "ffv1") or source in ("", "gif")
         if asked or self.lossless or expected or (self.container.streams and not self.video.lossless):
@@ -221,10 +221,10 @@ class WritePlan:
         return usable.get(container.keeping if self.video.lossless else "") or CODECS[container.usual].encoder
 
     def _use(self, name: str, crf: float | None, preset: str | None) -> None:
-        """Choose an encoder, and its settings; SuppleError if it has no such factor or preset, or is not lossless."""
+        """Set the encoder and its options; SuppleError if it lacks the crf or the preset, or cannot be lossless."""
         found = av.Codec(name, "w")
         self.encoder = encoder = ENCODERS.get(name) or Encoder(name, found.canonical_name)
-        self.fields = self.video.fields if encoder.fields else ""  # that are coded as fields
+        self.fields = self.video.fields if encoder.fields else ""  # of frames that are coded as fields
         self._lossy = (found.lossy or not found.lossless) and not self.lossless
         container, target = self.container, self.target
         self.options = chosen = {**encoder.options, **container.options}
@@ -258,7 +258,7 @@ class WritePlan:
             chosen[encoder.params] = _joined(chosen.get(encoder.params), encoder.threads.format(self.workers))
 
     def _matched(self, asked: str | None) -> Match:
-        """Return the chosen pixel format."""
+        """Return the pixel format that is chosen for the encoder, as a `Match`."""
         video, encoder, lossy = self.video, self.encoder, self._lossy
         names = self._formats()
         told = _read_as(encoder.codec, self.container, video.height)
@@ -271,13 +271,13 @@ class WritePlan:
             and min(size) < _SLICED
             and not (asked or self.opens(Match(video.form, video.colour, True)))
         ):
-            self.options.update({"level": "1", "slices": "1"})  # too small to be cut into slices
+            self.options.update({"level": "1", "slices": "1"})  # too small for slices
         try:
             made = _nearest(self, names, asked, not (video.stills and lossy), told if lossy else Colour())
             if self.fields and made.instead:
                 raise unwritable(self.target, made.instead, "leave out fields")
         except SuppleError:
-            if self.fields:  # which encoders take in some sizes only
+            if self.fields:  # encoders support interlacing in some sizes only
                 self.fields = ""
                 return self._matched(asked)
             raise
@@ -287,7 +287,7 @@ class WritePlan:
         return made
 
     def _warn_of_losses(self) -> None:
-        video, lost, self.depth = self.video, self.match.lost, ""  # said when a frame is seen to have such bits
+        video, lost, self.depth = self.video, self.match.lost, ""  # depth: warned of once a frame uses these bits
         if self.match.instead:
             self.warn(f"is not in {self.match.instead}")
         elif lost and not (video.stills and self._asked):
@@ -303,7 +303,7 @@ class WritePlan:
             self.warn(f"loses the light levels of HDR, which {self.encoder.codec} cannot hold{advice}")
         sound = video.source is not None and any(stream.type == "audio" for stream in video.source.streams)
         if sound and self.container.counted and self.encoder.codec in ("h264", "hevc"):
-            # measured: its first frame is taken for a delayed one, with any encoder
+            # measured: players take the first frame for a delayed one, with any encoder
             self.warn("is out of step by a frame in players that rest on FFmpeg: use codec mpeg4, or .mkv")
         for what in video.unheld:
             self.warn(f"cannot hold {what}")
@@ -334,7 +334,7 @@ class WritePlan:
         return next((each.name for each in better if self.opens(replace(self.match, form=each))), "")
 
     def _says_time(self) -> bool:
-        """Return whether the file can hold the timecode: a count of frames, at a whole rate."""
+        """Return whether the file can hold the timecode, which counts frames at a whole rate."""
         rate, found = round(self.video.rate), _TIMECODE.fullmatch(self.video.timecode)
         if not found or not self.container.mp4:
             return self.container.timecode
@@ -348,7 +348,7 @@ class WritePlan:
         if not self.container.mp4:
             return {}
         tags = video.source.metadata if video.source else {}
-        own = any(key.startswith("com.") for key in tags)  # not in the list of MP4's own
+        own = any(key.startswith("com.") for key in tags)  # keys that MP4 stores only with this flag
         return {"movie_timescale": str(timescale(video))} | ({"movflags": "use_metadata_tags"} if own else {})
 
     def _base(self) -> Fraction:
@@ -366,7 +366,7 @@ class WritePlan:
 
     @property
     def timed(self) -> bool:
-        """True if the encoder gets the times of frames, and not their numbers."""
+        """True if the encoder is given the times of frames, false if their numbers."""
         return self.encoder.timed and not self.container.counted and self.base.denominator <= _FINEST
 
     def warn(self, what: str) -> None:
@@ -374,7 +374,7 @@ class WritePlan:
         warnings.warn(f"{shown(self.target)} {what}", ClipWarning, stacklevel=3)
 
     def settle(self, context: av.VideoCodecContext, chosen: Match) -> None:
-        """Apply the settings to an encoder."""
+        """Apply the settings to an encoder's context."""
         video = self.video
         context.width, context.height, context.pix_fmt = video.width, video.height, chosen.form.name
         context.framerate = video.rate.limit_denominator(1 << 20)
@@ -396,12 +396,12 @@ class WritePlan:
         if self.encoder.name == "libx265" and video.count < _DELAYED:
             settings["x265-params"] += ":bframes=0"
         if self.encoder.name == "libvpx" and chosen.form.kind.alpha:
-            settings["auto-alt-ref"] = "0"  # which opacity excludes
+            settings["auto-alt-ref"] = "0"  # cannot be combined with opacity
         if self.encoder.name == "dnxhd":
-            # it takes any size: the source's profile if it can hold the pixels, else the best
+            # DNxHR supports any size: the source's profile if it can hold the pixels, else the best one
             kind, usual = chosen.form.kind, self.encoder.profiles.get(video.profile, "dnxhr_hq")
             settings["profile"] = "dnxhr_444" if kind.step == (1, 1) else "dnxhr_hqx" if kind.bits > 8 else usual
-            if self.fields:  # which DNxHR does not know, and DNxHD in one size
+            if self.fields:  # DNxHR has no interlacing, DNxHD only in one size
                 settings.update({"profile": "dnxhd", "b": "185M" if video.rate <= 25 else "220M"})
         if self.encoder.name == "prores_ks" and video.codec == "prores" and chosen.same:
             settings["profile"] = self.encoder.profiles.get(video.profile, "auto")
@@ -419,7 +419,7 @@ class WritePlan:
         return names
 
     def opens(self, chosen: Match) -> bool:
-        """Return whether the encoder opens with a match."""
+        """Return whether the encoder can be opened with a match."""
         context = av.CodecContext.create(self.encoder.name, "w")
         assert isinstance(context, av.VideoCodecContext)
         self.settle(context, chosen)
@@ -431,9 +431,9 @@ class WritePlan:
 
 
 def open_encoder(context: av.VideoCodecContext) -> None:
-    """Open an encoder, and keep the scheduling of this thread.
+    """Open an encoder, and restore the scheduling policy of this thread.
 
-    As root, SVT-AV1 gives its caller real-time priority: an encoder that waits for its threads then starves them.
+    As root, SVT-AV1 gives the calling thread real-time priority, which would starve its own worker threads.
     """
     if not hasattr(os, "sched_getscheduler"):
         context.open()
@@ -447,7 +447,7 @@ def open_encoder(context: av.VideoCodecContext) -> None:
 
 
 def timescale(video: VideoSource) -> int:
-    """Return the ticks of a stream's start in MP4, such that nothing is rounded, if possible."""
+    """Return the ticks a second for the start times of an MP4's streams, such that none is rounded, if possible."""
     streams = video.source.streams if video.source else ()
     bases = [video.base, *(stream.time_base for stream in streams if stream.type in ("audio", "video"))]
     exact = math.lcm(1000, *(base.denominator for base in bases if base))
@@ -455,11 +455,11 @@ def timescale(video: VideoSource) -> int:
 
 
 def _nearest(plan: WritePlan, names: list[str], asked: str | None, exact: bool, read_as: Colour) -> Match:
-    """Return the pixel format in which an encoder takes a clip: its own, else the nearest with the least loss.
+    """Return the pixel format for an encoder: the clip's own, else the one with the least loss.
 
-    `names` are its supported formats, empty for any; `asked` is the user's. If it need not be `exact`, the players'
-    usual format is as good; they read YUV as `read_as`, as far as the file cannot specify it. SuppleError if the
-    encoder does not support the user's format, or none at this size.
+    `names` are the encoder's formats, empty for any; `asked` is the user's. `exact` is false if another format does not
+    count as a loss, as for images. Players interpret YUV as `read_as`, where the file cannot specify it. SuppleError if
+    the encoder does not support the user's format, or none at this size.
     """
     source, colour, encoder, target = plan.video.form, plan.video.colour, plan.encoder.name, plan.target
     forms = [found for name in (names or [source.name]) if (found := form(name)) is not None]
@@ -491,7 +491,7 @@ def _cost(source: Form, colour: Colour, to: Form) -> tuple[float, ...]:
     chroma = (b.step[0] * b.step[1]) / (a.step[0] * a.step[1])
     recoded = colour.full(source) != colour.full(to) and to.name.startswith("yuvj")
     coarser = chroma if _coarser(a, b) else 0.0
-    if a.family == "rgb" and b.family == "yuv":  # supported by every player
+    if a.family == "rgb" and b.family == "yuv":  # the nearest to 4:2:0, which every player supports
         coarser = chroma = abs(4 - b.step[0] * b.step[1])
     return (
         float(a.alpha and not b.alpha),
@@ -537,7 +537,7 @@ def _losses(a: Kind, b: Kind, exact: bool) -> list[str]:
 
 
 def _pictured(kind: Kind, colour: Colour) -> bool:
-    """Return whether it is RGB, or the grey of images, which is that of RGB."""
+    """Return whether samples are RGB, or grey in the range of RGB, as in images."""
     return kind.family == "rgb" or (kind.family == "gray" and colour.matrix == RGB)
 
 
@@ -550,7 +550,7 @@ def _matched(video: VideoSource, to: Form, exact: bool, told: Colour) -> Match:
     if to.kind.family in ("rgb", "xyz"):
         meant = replace(meant, range=FULL if to.kind.family == "rgb" else meant.range, matrix=RGB, site="")
     elif to.kind.family == "gray" and source.kind.family != "gray":
-        meant = replace(meant, range=FULL)  # the only grey of libswscale
+        meant = replace(meant, range=FULL)  # libswscale supports grey only in full range
     elif to.kind.family == "yuv" and _pictured(source.kind, colour):
         meant = replace(meant, range=FULL if whole else LIMITED, matrix=BT709)
     elif meant.matrix == RGB:
@@ -570,5 +570,5 @@ def _matched(video: VideoSource, to: Form, exact: bool, told: Colour) -> Match:
 
 
 def _five(matrix: int) -> int:
-    """Return one code for the two of BT.601's matrix."""
+    """Return one code for BT.601's matrix, which has two (5 and 6)."""
     return BT601 if matrix == 5 else matrix

@@ -1,4 +1,4 @@
-"""Pixel formats of video: the memory layout of each component, and its planes."""
+"""Pixel formats of video: the planes and the memory layout of their components."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from supple.engine.work import Array, Group, Layout
 _ORDER = {"xv36": "uyvx", "xv48": "uyvx", "yuyv422": "yuyv", "uyvy422": "uyvy", "yvyu422": "yvyu"}
 _ORDER |= {"y210": "yuyv", "y212": "yuyv", "y216": "yuyv", "xyz12": "rgb"}
 _PACKED = re.compile(r"([rgbayuvx0]{2,4})(?:\d+|f16|f32)?")
-# Formats with partial bytes, and formats that hold their values. Others are converted to 8-bit RGB.
+# Formats that cannot be read directly, and the formats that they are converted to; all others become 8-bit RGB.
 _WIDER = {
     "mono[bw]": "gray", "x2(rgb|bgr)10": "gbrp10le", "(v30x|xv30)": "yuv444p10le", "uyyvyy411": "yuv411p",
     "rgb96": "rgb48le", "rgba128": "rgba64le", "gbrap32": "gbrap16le", "gray32": "gray16le", "bayer_....16": "rgb48le",
@@ -77,7 +77,7 @@ class Form:
     shift: int = 0  # the left shift of samples, in bits
 
 
-# Kept: PyAV's to_ndarray knows a part of these formats only (test_every_pixel_format_comes_through_ffv1_bit_for_bit).
+# Kept: PyAV's to_ndarray supports only some formats (test_every_pixel_format_comes_through_ffv1_bit_for_bit).
 @lru_cache(maxsize=1024)
 def form(name: str) -> Form | None:
     """Return the memory layout of a pixel format; None if samples share bytes, or are not in memory."""
@@ -120,7 +120,7 @@ def _places(video: av.VideoFormat, base: str) -> tuple[Place, ...]:
 
 
 def wider(name: str) -> str:
-    """Return a directly readable format that holds all values of another one."""
+    """Return the directly readable format that another format is converted to."""
     base = re.sub(r"(le|be)$", "", name)
     return next((to for pattern, to in _WIDER.items() if re.fullmatch(pattern, base)), "rgb24")
 
@@ -146,7 +146,7 @@ def _views(frame: av.VideoFrame, form: Form) -> list[Array]:
 
 
 def _slots(arrays: Sequence[Array], kind: Kind) -> list[Array]:
-    """Return a view of each component in the arrays, in the same order; without the opacity for chroma."""
+    """Return a view of each component in the arrays, in the order of `Form.places`; without chroma's own opacity."""
     slots = [arrays[0][..., channel] for channel in range(arrays[0].shape[-1])]
     if len(arrays) > 1:
         slots[1:1] = [arrays[1][..., 0], arrays[1][..., 1]]
@@ -154,7 +154,7 @@ def _slots(arrays: Sequence[Array], kind: Kind) -> list[Array]:
 
 
 def _whole(frame: av.VideoFrame, form: Form) -> Array | None:
-    """Return a packed frame as one array, if its components are in order without padding."""
+    """Return a packed frame as one array (H, W, C); None if its components are out of order or padded."""
     count = len(form.places)
     if count == 1 or any(place != Place(0, number, count) for number, place in enumerate(form.places)):
         return None
@@ -163,7 +163,7 @@ def _whole(frame: av.VideoFrame, form: Form) -> Array | None:
 
 
 def _pairs(frame: av.VideoFrame, form: Form, arrays: Sequence[Array]) -> list[tuple[Array, Array]]:
-    """Return views of a frame's samples, each with the view of the arrays that holds the same."""
+    """Return pairs of views: a component of a frame, and the same component in the arrays."""
     whole = _whole(frame, form)
     if whole is not None and not form.shift:
         return [(whole, arrays[0])]
@@ -191,7 +191,7 @@ def _averaged(alpha: Array, kind: Kind) -> Array:
 
 
 def pack(arrays: Sequence[Array], form: Form, frame: av.VideoFrame) -> av.VideoFrame:
-    """Fill a frame, which an encoder may still use, with the samples in arrays, one for each group; return it."""
+    """Copy the samples of arrays, one for each group, into a frame, and return it; a buffer in use is replaced."""
     frame.make_writable()
     if len(form.places) < abs(form.places[0].step) and form.kind.step == (1, 1):
         _samples(frame.planes[0], frame.height, form.item)[:] = 0  # the padding beside the components

@@ -1,4 +1,4 @@
-"""The source of a video to be written: its properties, and those of images to be encoded as one."""
+"""The properties of a clip that is to be written as a video: of a video, or of images."""
 
 from __future__ import annotations
 
@@ -20,26 +20,26 @@ from supple.media.video.streams import Passage
 class VideoSource:
     """The source of a video to be written; properties without a counterpart in images are empty here."""
 
-    layout: Layout  # its chroma siting is from `supple.media.video.colour.siting`
+    layout: Layout  # with the chroma siting of `supple.media.video.colour.siting`
     form: Form  # the pixel format of frames in that layout
     colour: Colour  # the interpretation of samples
     count: int  # of frames
-    stills = False  # whether it consists of images, so that any format of players will do
-    unheld: tuple[str, ...] = ()  # contents that no video file holds
+    stills = False  # whether it consists of images: then any format that players support is used
+    unheld: tuple[str, ...] = ()  # contents that no video file can hold, for messages
     codec, profile, lossless, index = "", "", False, -1
-    field_order = 1  # of interlaced frames, as the stream codes and shows them: AVFieldOrder
+    field_order = 1  # the order in which fields are coded and shown: AVFieldOrder
     fields = ""  # the field of interlaced frames that is shown first, "top" or "bottom"
     timecode = ""  # of the first frame
-    plays: int | None = None  # how often an animation plays; 0 for ever
+    plays: int | None = None  # the number of times that an animation plays; 0 for ever
     header = b""  # the stream header (extradata), which a decoder needs
     pace = Fraction(0)  # ticks a second in which all times are integers, as far as can be inferred
     aspect: Fraction | None = None
     grading = Grading()
     source: av.container.InputContainer | None = None
     passage: Passage | None = None  # receives the packets of other streams during writing
-    timed = False  # whether the times of frames are kept without that
+    timed = False  # whether times of frames are recorded without a passage, too
     display: tuple[int, int, int, int] | None = None
-    copies = False  # whether packets of frames are kept, to be copied
+    copies = False  # whether packets of frames are kept for copying
 
     def __init__(self, name: str, rate: Fraction, base: Fraction) -> None:
         self.name, self.rate, self.base = name, rate, base
@@ -58,11 +58,11 @@ class VideoSource:
         return self.layout.shape[0]
 
     def time(self, k: int) -> tuple[int, int]:
-        """Return the start and the duration of frame `k` in ticks of `base`, once, in order."""
+        """Return the start and the duration of frame `k` in ticks of `base`; call it once for each frame, in order."""
         return k, 1
 
     def packet(self, k: int) -> av.Packet[Any] | None:
-        """Return the packet that frame `k` alone was decoded from, once, in order; None if there is none."""
+        """Return the packet of frame `k` alone, or None; call it once for each frame, in order."""
         return None
 
     def chapters(self) -> list[Any]:
@@ -75,9 +75,9 @@ class VideoSource:
 
 
 class Stills(VideoSource):
-    """Images, as a film; SuppleError if they are neither grey nor RGB.
+    """Images as a video; SuppleError if they are neither grey nor RGB.
 
-    Their colours are taken as sRGB, with the primaries of BT.709. Most players use one curve for both.
+    Their colours are assumed to be sRGB, and tagged with the primaries of BT.709; most players use one curve for both.
     """
 
     stills = True

@@ -18,34 +18,34 @@ from supple.media.codecs import Container
 from supple.media.files import PathLike
 from supple.media.video.colour import described
 
-_HELD = 64 << 20  # bytes of packets that wait for the film before they are written first
-# tags of the file, not of its contents
+_HELD = 64 << 20  # bytes of packets that may wait for the film; beyond it, they are written early
+# tags that describe the file, not its contents
 _OWN = frozenset(
     ("encoder", "duration", "timecode", "major_brand", "minor_version", "compatible_brands", "rotate", "alpha_mode")
 )
-# data streams by the four characters of their kind
+# names of data streams, by their FourCC
 _DATA = {
     "gpmd": "GoPro telemetry (GPMF)", "fdsc": "GoPro file description", "djmd": "DJI metadata",
     "dbgi": "DJI debug data", "mebx": "timed metadata of Apple", "rtmd": "Sony metadata (RTMD)",
     "camm": "camera motion metadata (CAMM)", "KLVA": "KLV metadata", "ID3 ": "timed ID3 metadata",
     "tmcd": "timecode", "text": "text of chapters",
 }  # fmt: skip
-_FELT = Fraction(1, 50)  # seconds between image and sound: a larger error is reported
+_FELT = Fraction(1, 50)  # seconds: a larger error between image and sound is reported
 _COUNTED = ("_STATISTICS", "BPS", "NUMBER_OF_", "DURATION")
 
 
 def titled(tags: dict[str, str]) -> dict[str, str]:
-    """Return tags with the title of a stream under the muxers' key: MP4 returns it as its name."""
+    """Return tags with a stream's title under the key that muxers use; MP4's demuxer returns it under another one."""
     return {"title" if key == "name" and "title" not in tags else key: value for key, value in tags.items()}
 
 
 def kept_tags(tags: dict[str, str]) -> dict[str, str]:
-    """Return the metadata that stay true of another file with the same contents."""
+    """Return the metadata that also hold for another file with the same contents."""
     return {key: value for key, value in tags.items() if key.lower() not in _OWN and not key.startswith(_COUNTED)}
 
 
 def copied(output: av.container.OutputContainer, template: av.stream.Stream) -> av.stream.Stream:
-    """Add a stream like one of another file, for copied packets."""
+    """Add a stream with the parameters of another file's stream, to copy its packets."""
     made = output.add_stream_from_template(template, opaque=True)
     made.metadata.update(titled(kept_tags(template.metadata)))
     made.disposition = template.disposition
@@ -60,13 +60,13 @@ def name_of(stream: av.stream.Stream) -> str:
 
 
 def kind_of(container: av.container.Container, stream: av.stream.Stream) -> str:
-    """Return the four characters that name the kind of a stream in its file; empty if there are none."""
+    """Return the FourCC of a stream; empty if it has none."""
     found = re.search(r"\(([\w ]{4}) / 0x", described(container, stream.index))
     return found[1] if found else ""
 
 
 def named(container: av.container.InputContainer, stream: av.stream.Stream) -> str:
-    """Return the name of a stream's contents: of its codec, or of what is known of its data."""
+    """Return the name of a stream's contents, for messages: its codec, or the kind of its data."""
     name = name_of(stream)
     if stream.type != "data":
         return name
@@ -75,7 +75,7 @@ def named(container: av.container.InputContainer, stream: av.stream.Stream) -> s
 
 
 def picture(path: str, index: int) -> bytes:
-    """Return the first packet of a stream."""
+    """Return the bytes of a stream's first packet, such as a cover picture."""
     with av.open(path, metadata_errors="surrogateescape") as source:
         return next((bytes(packet) for packet in source.demux(source.streams[index]) if packet.size), b"")
 
@@ -97,7 +97,7 @@ def holds(container: Container, template: av.stream.Stream) -> bool:
             packet = av.Packet(bytes(16))
             packet.stream, packet.time_base, packet.pts, packet.dts = made, Fraction(1, 1000), 0, 0
             trial.mux_one(packet)
-        memory.seek(0)  # MP4's muxer writes data that it does not know without saying what it is
+        memory.seek(0)  # MP4's muxer writes unknown data without their FourCC
         with av.open(memory) as again:
             return kind_of(template.container, template) in [kind_of(again, found) for found in again.streams]
     return False
@@ -119,7 +119,7 @@ class Passage:
     ) -> None:
         self._target = target
         self._output = output
-        self._avi = container.counted  # it cannot store that sound begins before the film, as AAC's does
+        self._avi = container.counted  # AVI cannot store that sound begins before the film, as with AAC
         self._streams: dict[int, av.stream.Stream] = {}
         self._last: dict[int, int] = {}
         self._waiting: deque[tuple[Fraction | None, av.Packet[Any]]] = deque()
@@ -129,12 +129,12 @@ class Passage:
         marked = bool(source.chapters())
         for stream in source.streams:
             kind = kind_of(source, stream) if stream.type == "data" else ""
-            # chapters are repeated, and the muxer writes a timecode from the metadata
+            # text of chapters would be written twice; the muxer writes the timecode from the metadata
             if stream.index == film or (marked and kind == "text") or kind == "tmcd":
                 continue
             cover = bool(stream.disposition & av.stream.Disposition.attached_pic)
             if cover and container.attachments:
-                # into the header of Matroska
+                # Matroska stores it as an attachment
                 kind, tags = name_of(stream), stream.metadata
                 name = tags.get("filename") or f"cover.{'jpg' if kind == 'mjpeg' else kind}"
                 mime = tags.get("mimetype") or f"image/{'jpeg' if kind == 'mjpeg' else kind}"

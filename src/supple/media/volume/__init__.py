@@ -41,7 +41,7 @@ def is_dicom(path: PathLike) -> bool:
 def read(
     path: PathLike, *, raw: RawLayout | None = None, series: str | None = None, irregular: str | None = None
 ) -> Volume:
-    """Read a volume; uncompressed data are mapped from the file if possible (NIfTI, .dat, headerless).
+    """Read a volume; where possible, uncompressed data are memory-mapped (NIfTI, .dat, files without a header).
 
     Parameters
     ----------
@@ -52,8 +52,8 @@ def read(
     series : str, optional
         The series of a folder with several: its SeriesInstanceUID, or its number in the list, from 1.
     irregular : str, optional
-        What becomes of DICOM slices that are missing, or unevenly spaced: by default, they are refused; ``"resample"``
-        interpolates them linearly along the stack, at even steps, with a warning.
+        Missing or unevenly spaced DICOM slices are an error by default; ``"resample"`` interpolates the slices linearly
+        along the stack, at even steps, with a warning.
 
     Raises
     ------
@@ -67,9 +67,9 @@ def read(
 def outline_of(
     path: PathLike, *, raw: RawLayout | None = None, series: str | None = None, irregular: str | None = None
 ) -> Volume:
-    """Return a volume from its header alone; its samples have their shape and type, take no memory, and are 0.
+    """Return a volume from its header alone; samples have the right shape and dtype, but are 0, and take no memory.
 
-    DICOM and TIFF are read for it: their slices tell what they hold one by one.
+    DICOM and TIFF are read as a whole, as each slice has a header of its own.
     """
     known = _read(path, raw, series, irregular, header_only=True)
     return replace(known, samples=np.broadcast_to(np.zeros((), known.samples.dtype), known.samples.shape))
@@ -109,17 +109,17 @@ def _format(path: PathLike) -> str:
 def check_target(
     path: PathLike, like: Volume | None = None, dtype: npt.DTypeLike | None = None, *, force: bool = False
 ) -> None:
-    """Raise SuppleError, before any work, for a name under which a volume like this, in another dtype, is not written.
+    """Raise SuppleError, before any work, if a volume like this, with another dtype, cannot be written under a name.
 
-    Without ``like``, only the name is checked. A ``.raw`` beside a ``.mhd``, and a ``.dcm``, exist only with ``force``.
-    See `check_output`, too.
+    Without ``like``, only the name is checked. The ``.raw`` beside a ``.mhd``, and a ``.dcm``, may exist only with
+    ``force``. Also see `check_output`.
     """
     suffix = suffix_of(path)
     if suffix in derived.SUFFIXES and like is not None and like.format == "DICOM":
         derived.check(path, like, force=force)
         return
     what, advice = "is no format that volumes are written in", f"use {', '.join(SUFFIXES_OUT)}"
-    if suffix == ".dcm":  # of DICOM, it was checked before
+    if suffix == ".dcm":  # a source in DICOM was checked above
         what = "is for what is derived from DICOM, and the source is of another format"
     elif FORMATS.get(suffix) == "DICOM":
         advice = f"from DICOM, give a folder for slices, which is a name without suffix, or .dcm; else {advice}"
@@ -144,11 +144,11 @@ def write(path: PathLike, samples: Array, like: Volume, *, force: bool = False) 
     Parameters
     ----------
     path : str or os.PathLike
-        One of `SUFFIXES_OUT`; or, for a series of DICOM slices, a folder, which gets a derived series; or, for a DICOM
-        file of many frames, a ``.dcm``. The data of a ``.mhd`` are written to a ``.raw`` of the same name.
+        A file with one of `SUFFIXES_OUT`. Derived DICOM is written to a folder if the source is a series of slices, and
+        to a ``.dcm`` if it is a multi-frame file. The data of a ``.mhd`` are written to a ``.raw`` of the same name.
     samples : ndarray
-        Of the shape of ``like.samples``, with ``like.scaling``. Formats other than NIfTI get scaled values, in float32
-        or float64.
+        The shape is that of ``like.samples``; ``like.scaling`` applies. Formats other than NIfTI store scaled values,
+        in float32 or float64.
     like : Volume
         The source of the geometry; and of the header, if the format is the same.
     force : bool
@@ -174,12 +174,12 @@ def info(
     Returns
     -------
     dict
-        ``unit`` (of a dose: that of scaled values), ``format``, ``shape`` (x, y, z), ``dtype``, ``components``,
+        ``unit`` (of scaled values, for a dose), ``format``, ``shape`` (x, y, z), ``dtype``, ``components``,
         ``times``, ``interval`` (s), ``spacing`` (mm), ``origin`` and ``direction`` (rows; in the file's own
         ``convention``), ``orientation`` (axis directions: Right or Left, Anterior or Posterior, Superior or Inferior),
         ``oblique`` (degrees off that), ``shear`` (degrees by which the axes miss right angles to each other),
         ``scaling`` (slope and intercept), ``minimum``, ``maximum`` and ``nan`` (of the samples as stored; None if there
-        are more than 2 GiB), and ``bytes`` (of the samples). Of a folder with several series, if none is named:
+        are more than 2 GiB), and ``bytes`` (of the samples). For a folder with several series, if none is named:
         ``format`` and ``series``, each with ``number``, ``uid``, ``description`` and ``slices``.
     """
     if raw is None and series is None and os.path.isdir(path):

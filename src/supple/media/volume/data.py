@@ -21,7 +21,7 @@ Array = npt.NDArray[Any]
 
 _SEGMENT = re.compile(r"Segment\d+_(ID|LabelValue)")
 TO_RAS = np.diag([-1.0, -1.0, 1.0, 1.0])
-"""From positions in LPS to those in RAS, and back."""
+"""The matrix (4, 4) from positions in LPS to positions in RAS, and back."""
 DTYPES = ("uint8", "int8", "uint16", "int16", "uint32", "int32", "uint64", "int64", "float32", "float64")
 
 
@@ -29,8 +29,8 @@ DTYPES = ("uint8", "int8", "uint16", "int16", "uint32", "int32", "uint64", "int6
 class Volume:
     """A volume with the contents of its file.
 
-    The samples are in the file's own dtype, in this machine's byte order: of shape (Z, H, W), or (Z, H, W, C) for
-    colours or vectors, or (T, Z, H, W) of a series in time. Mapped from the file, they are not writable.
+    Samples have the file's dtype, in native byte order. Their shape is (Z, H, W), or (Z, H, W, C) for colours or
+    vectors, or (T, Z, H, W) for a time series. If they are mapped from the file, they are read-only.
     """
 
     samples: Array
@@ -38,11 +38,11 @@ class Volume:
     name: str = "the volume"  # of the file, for messages
     format: str = ""  # "NIfTI", "NRRD", "MetaImage", "MGH", "DICOM", "TIFF" or "raw"
     series: bool = False  # whether the first axis is time
-    header: Any = None  # in the file's format; of DICOM, the path of the file of many frames, or those of the slices
+    header: Any = None  # in the file's format; for DICOM, the path of the multi-frame file, or the paths of the slices
     scaling: tuple[float, float] = (1.0, 0.0)  # the values are slope * samples + intercept
     interval: float = 1.0  # seconds between the volumes of a series
-    regridded: bool = False  # whether the samples and the geometry are not those of the header
-    resampled: str = ""  # how they were resampled when they were read, for what is derived from them
+    regridded: bool = False  # whether samples and geometry differ from those of the header
+    resampled: str = ""  # how slices were resampled on reading, for the description of derived DICOM
 
     @property
     def sizes(self) -> tuple[int, int, int]:
@@ -56,7 +56,7 @@ class Volume:
         return self.geometry.grid(self.sizes[::-1])
 
     def moved(self, samples: Array, grid: Grid, convention: str) -> Volume:
-        """Return a volume with the same header, and other samples on another grid, in a convention of `Geometry`."""
+        """Return a volume with the same header, and new samples on another grid; `convention` is as in `Geometry`."""
         return replace(self, samples=samples, geometry=grid.geometry(convention), regridded=True)
 
     @property
@@ -70,16 +70,16 @@ class Volume:
         return isinstance(self.header, dict) and any(_SEGMENT.fullmatch(name) for name in self.header)
 
     def rescaled(self) -> Array:
-        """Return the scaled values: the samples themselves, or float32 if they are scaled.
+        """Return the scaled values: the samples themselves without a scaling, else float32.
 
-        float64 if the samples have 64 bits, or are integers of 32, which float32 does not distinguish.
+        It is float64 for samples of 64 bits and for integers of 32 bits, which float32 cannot represent exactly.
         """
         return rescaled(self.samples, self.scaling)
 
     def stored(self, values: float | Sequence[float]) -> float | Sequence[float]:
-        """Return true values as the samples hold them, before slope and intercept; integers are rounded.
+        """Convert scaled values to stored samples: slope and intercept are undone, and integers rounded.
 
-        SuppleError, as for a fill value, if the dtype cannot hold one. What is no number is returned as it is.
+        SuppleError, as for a fill value, if the dtype cannot hold one. Values that are not numbers pass unchanged.
         """
         try:
             known = np.asarray(values, np.float64)
@@ -150,7 +150,7 @@ def rescaled(samples: Array, scaling: tuple[float, float]) -> Array:
     if (slope, intercept) == (1, 0):
         return samples
     made = np.empty(samples.shape, rescaled_dtype(samples.dtype, scaling))
-    for one, whole in zip(made, samples, strict=True):  # slab by slab, since intermediate results are float64
+    for one, whole in zip(made, samples, strict=True):  # slab by slab: intermediates are float64
         one[...] = np.float64(slope) * whole + intercept
     return made
 
@@ -172,7 +172,7 @@ def native(samples: Array) -> Array:
 def placed(path: PathLike, matrix: npt.ArrayLike, convention: str) -> Geometry:
     """Return the geometry of a matrix (4, 4) from indices, x first, to millimetres in RAS or LPS.
 
-    The convention is "RAS" for RAS; else it is LPS. SuppleError if a spacing is not above 0, the axes lie in a plane,
+    Any other convention than "RAS" means LPS. SuppleError if a spacing is not above 0, the axes lie in a plane,
     or a number is not finite.
     """
     known = np.array(matrix, np.float64)

@@ -1,4 +1,4 @@
-"""Derived DICOM, of slices or of one file of many frames, by pydicom: of the source's patient and study, with own UIDs.
+"""Derived DICOM, slices or a multi-frame file, by pydicom: with the source's patient and study, and new UIDs.
 
 The attributes are those of DICOM PS3.3, C.7.6.1 (General Image), C.7.6.2 (Image Plane), C.7.6.16 (functional groups),
 C.8.8.3 (doses) and C.12.4.1 (derivation).
@@ -21,14 +21,14 @@ from supple.media.volume.data import Array, Volume
 from supple.media.volume.frames import Frames, dataset, frames_of, head_of, imported, item_of, quiet, without
 
 SUFFIXES = ("", ".dcm")
-"""The suffixes of what is derived: a folder of slices, and a file of many frames."""
+"""The suffixes of derived DICOM: a folder of slices, and a multi-frame file."""
 WARNING = "NOT FOR DIAGNOSIS"
 _GROUPS = "PerFrameFunctionalGroupsSequence"
 _LONGEST = 64  # characters of a description (VR LO)
-_AFTER = 1000  # a derived series has this number more than its source
-_MAPPING = "RealWorldValueMappingSequence"  # from what is stored
+_AFTER = 1000  # added to the source's number of the series
+_MAPPING = "RealWorldValueMappingSequence"  # of stored values
 _PADDING = ("PixelPaddingValue", "PixelPaddingRangeLimit")
-# What is of the source's pixels, and not of the new ones.
+# Attributes that describe the source's pixels, and may not hold for the new ones.
 _STALE = (
     "SmallestImagePixelValue", "LargestImagePixelValue", "SmallestPixelValueInSeries", "LargestPixelValueInSeries",
     "SmallestImagePixelValueInPlane", "LargestImagePixelValueInPlane", "PixelDataProviderURL",
@@ -44,9 +44,9 @@ _OVERLAYS, _CURVES = range(0x6000, 0x6020, 2), range(0x5000, 0x5020, 2)
 
 
 def check(path: PathLike, like: Volume | None = None, *, force: bool = False) -> None:
-    """Raise SuppleError, before any work, for a place that cannot get DICOM, or a source whose kind is not written.
+    """Raise SuppleError, before any work, if DICOM cannot be written to a path, or not from this kind of source.
 
-    Nothing that is in a folder is ever replaced: it must be new, or empty. A file may be, with ``force``.
+    A folder must be new or empty: its files are never replaced. With ``force``, an existing file may be.
     """
     imported()
     many, single = like is not None and isinstance(like.header, str), Path(path).suffix != ""
@@ -79,17 +79,17 @@ def _source(path: PathLike, like: Volume) -> Frames:
 
 
 def write(path: PathLike, samples: Array, like: Volume, *, force: bool = False) -> None:
-    r"""Write a series of slices into a new folder, or a file of many frames; it appears whole or not at all.
+    r"""Write a series of slices into a new folder, or a multi-frame file; it appears whole or not at all.
 
-    Each slice has what the nearest slice of the source has, but for: its pixels and place; UIDs of its own and of the
-    series; ``DERIVED\SECONDARY``, a description that says so, and that it is not for diagnosis, and how slices at
-    uneven places were interpolated before. Private attributes, overlays and signatures are left out, which may describe
-    the source's pixels. Values keep the source's rescale slope and intercept if all slices have the same and the values
-    fit; otherwise, each slice gets a slope of its own, and is stored in 16 bits. Frames are as slices, and have one
-    slope; the image type of those with functional groups is ``DERIVED\PRIMARY``, since their classes have no other.
+    A slice has the attributes of the nearest slice of the source, except for pixels, position and UIDs. Its image type
+    is ``DERIVED\SECONDARY``; its description says that it is derived, not for diagnosis, and whether slices at uneven
+    places were interpolated first. Private attributes, overlays and signatures are dropped, as they may describe the
+    source's pixels. The source's rescale slope and intercept are kept if all slices share them and the values fit;
+    otherwise, each slice gets its own slope and 16 bits. The frames of a multi-frame file are written like slices, with
+    one slope; with functional groups, the image type is ``DERIVED\PRIMARY``, as their classes allow no other.
 
-    Samples (Z, H, W) or (Z, H, W, 3) are in the units of the files (Hounsfield's, for CT); of doses, as they are
-    stored. ``like`` is the source, with the paths of its slices, or its own, as the header, and the geometry to write.
+    Samples (Z, H, W) or (Z, H, W, 3) are in the units of the files (Hounsfield units for CT); doses are as stored.
+    ``like`` is the source: its ``header`` is the path of its file, or those of its slices; its geometry is written.
     """
     check(path, like, force=force)
     with quiet():
@@ -118,7 +118,7 @@ def _write_frames(path: PathLike, samples: Array, like: Volume, force: bool) -> 
 def _write_slices(path: PathLike, samples: Array, like: Volume, _: bool) -> None:
     try:
         heads = [head_of(name) for name in like.header]
-    except Exception as error:  # pydicom has many
+    except Exception as error:  # pydicom raises many types
         raise unwritable(path, f"{like.name} is not readable any more", "bring it back") from error
     places, stamp = np.array([_place_of(head) for head in heads]), _stamp()
     common = {_scale_of(head) for head in heads}
@@ -141,7 +141,7 @@ def _save(made: Any, file: Path, path: PathLike) -> None:
         made.save_as(file, enforce_file_format=True)
     except OSError:
         raise
-    except Exception as error:  # what it finds wrong in a source has many types
+    except Exception as error:  # invalid attributes of a source raise many types
         what = f"it cannot be written by pydicom ({said(error)[:120]})"
         raise unwritable(path, what, "use .nrrd or .mha") from error
 
@@ -163,7 +163,7 @@ def _scale_of(head: Any) -> tuple[float, float]:
 
 
 def _derived(head: Any, common: tuple[Any, datetime.datetime], resampled: str) -> Any:
-    """Return the data of a new slice or file, without pixels and place."""
+    """Return the dataset of a new slice or file, without pixels and position."""
     from supple import __version__
 
     uid, now = common
@@ -194,12 +194,12 @@ def _derived(head: Any, common: tuple[Any, datetime.datetime], resampled: str) -
 
 
 def new_uid() -> Any:
-    """Return a UID that no other object has."""
+    """Return a new, globally unique UID."""
     return imported().uid.generate_uid(prefix=None)
 
 
 def reference_to(head: Any) -> Any:
-    """Return an item that refers to an object."""
+    """Return a reference to a DICOM object, as an item of a sequence."""
     return dataset(ReferencedSOPClassUID=head.SOPClassUID, ReferencedSOPInstanceUID=head.SOPInstanceUID)
 
 
@@ -208,13 +208,13 @@ def _code(value: str, meaning: str) -> Any:
 
 
 def series_number(head: Any) -> int:
-    """Return the number of what is derived from a series, other than its own, and of 32 bits (VR IS)."""
+    """Return a number for a derived series, different from the source's, within 32 bits (VR IS)."""
     known = int(head.get("SeriesNumber") or 0)
     return known + (_AFTER if known + _AFTER < 1 << 31 else -_AFTER)
 
 
 def ended(text: str, end: str) -> str:
-    """Return a description with an end that is never cut."""
+    """Return a description followed by ``end``; it is truncated to fit, but never its end."""
     return f"{text[: _LONGEST - len(end) - 2]}, {end}" if text else end
 
 
@@ -224,9 +224,9 @@ def _decimal(values: Sequence[float]) -> list[Any]:
 
 
 def _set_frames(made: Any, like: Volume, where: tuple[list[Array], Array, tuple[float, float]]) -> None:
-    """Set where frames lie: by offsets, or in functional groups, each of which is that of the nearest source frame.
+    """Set the positions of frames: offsets, or functional groups, which are copied from the nearest source frame.
 
-    ``where`` are the places of the frames, those of the source, and the rescale slope and intercept.
+    ``where`` holds the positions of the frames, those of the source's, and the rescale slope and intercept.
     """
     places, sources, (slope, intercept) = where
     groups, count = made.get(_GROUPS), len(places)
@@ -261,14 +261,14 @@ def _set_frames(made: Any, like: Volume, where: tuple[list[Array], Array, tuple[
 
 
 def _renumber(made: Any, group: Any, number: int) -> None:
-    """Number a frame along the stack, which may have more or fewer frames than the source."""
+    """Set the number of a frame in its stack, which may have more or fewer frames than the source's."""
     for content in group.get("FrameContentSequence") or ():
         if "InStackPositionNumber" in content:
             content.InStackPositionNumber = number
         axes = [item.get("DimensionIndexPointer") for item in made.get("DimensionIndexSequence") or ()]
         known = content.get("DimensionIndexValues")
         if known is not None and not axes:
-            del content.DimensionIndexValues  # of which nothing says what they count
+            del content.DimensionIndexValues  # their meaning is not declared
         numbers = [] if known is None else [known] if isinstance(known, int) else list(known)
         if len(numbers) == len(axes) > 0:
             content.DimensionIndexValues = [
@@ -286,7 +286,7 @@ def _set_place(made: Any, like: Volume, place: Array) -> None:
 
 def _set_plane(turned: Any, pixels: Any, like: Volume) -> None:
     across, down, step = like.geometry.spacing
-    if like.geometry.shear:  # along the normal, as DICOM counts it
+    if like.geometry.shear:  # DICOM measures the step along the normal
         step *= abs(float(np.linalg.det(like.geometry.direction)))
     turned.ImageOrientationPatient = _decimal(like.geometry.direction[:, :2].T.ravel().tolist())
     pixels.PixelSpacing = _decimal([down, across])
@@ -321,7 +321,7 @@ def _set_pixels(made: Any, slab: Array, scale: tuple[float, float] | None) -> tu
 
 
 def _set_padding(made: Any, kind: str, alike: bool) -> None:
-    """Keep the stored values that stand for no pixel, in the type that pixels get, where they still mean the same."""
+    """Keep the padding values if pixels keep their scaling, and convert them to the pixels' type; else remove them."""
     if alike and made.get("PixelRepresentation", 0) == int(kind == "i"):
         return
     if not alike:
@@ -345,6 +345,6 @@ def _stored(made: Any, slab: Array, scale: tuple[float, float] | None) -> tuple[
         for bits, letter in ((int(made.get("BitsAllocated", 16)), kind), (16, kind), (16, "i"), (32, kind), (32, "i")):
             if bits in (8, 16, 32) and _fits(values, bits, letter):
                 return values.astype(f"{letter}{bits // 8}"), scale
-    # As in PET, whose slices have a slope each; the intercept has to be 0 there.
+    # A slope for each slice, as in PET, where the intercept must be 0.
     slope = float(f"{float(np.abs(slab).max(initial=0)) / 32767 or 1:.10g}")
     return np.rint(slab / slope).clip(-32767, 32767).astype(np.int16), (slope, 0.0)

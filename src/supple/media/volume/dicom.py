@@ -28,7 +28,7 @@ _DOSE, _DOSE_UNITS = "3004|000e", "3004|0002"
 _SUFFIXES = {".dcm", ".dicom", ".ima"}
 _ASIDE = 0.25  # of a pixel: the largest sideways offset of slices
 _ALONG = 0.1  # of a step: the largest deviation from even steps
-# DICOM objects beside images: the ends of SOP class UIDs, after that of storage.
+# Kinds of DICOM objects that are not images, by the end of the SOP class UID after `_STORAGE`.
 _STORAGE = "1.2.840.10008.5.1.4.1.1."
 _BESIDE = {
     "481.3": "RTSTRUCT", "481.5": "RTPLAN", "481.2": "RTDOSE", "481": "RT", "88": "SR", "11": "PR", "9": "waveform",
@@ -52,7 +52,7 @@ def is_slice(path: PathLike) -> bool:
 
 
 def in_folder(path: PathLike) -> bool:
-    """Return whether a folder holds a DICOM file: by its suffix, or, for none or a number, by its first bytes.
+    """Return whether a folder holds a DICOM file: by suffix, or by its first bytes if that is missing or a number.
 
     Subfolders count too, unless the folder holds images or videos.
     """
@@ -73,7 +73,7 @@ def _names(folder: str) -> list[str]:
 
 
 def _folders(path: PathLike) -> Iterator[str]:
-    """Yield a folder, and its subfolders whose slices belong to it."""
+    """Yield a folder and all subfolders; those of a folder that holds images or videos are skipped."""
     for folder, inner, files in os.walk(path):
         yield folder
         if any((mimetypes.guess_type(name)[0] or "").startswith(("image/", "video/")) for name in files):
@@ -84,10 +84,10 @@ def _folders(path: PathLike) -> Iterator[str]:
 def listed(path: PathLike, *, nested: bool = True) -> list[Series]:
     """Return the series of images in a folder and its subfolders, by number; SuppleError if there are none.
 
-    Objects that are not images, or are derived from images in the folder (a dose, a segmentation), are left out with a
-    warning; files that cannot be read, too, if a slice beside them was named, and not the folder (``nested``).
+    Objects that are not images, or are derived from images in the folder (a dose, a segmentation), are skipped with a
+    warning. Files that cannot be read are an error with ``nested``; without, where a slice was named, they are skipped.
     """
-    imported()  # or say that it is missing
+    imported()  # or raise that SimpleITK is missing
     beside: list[tuple[str, str]] = []
     images: list[tuple[str, Any]] = []
     derived: list[tuple[str, Any]] = []
@@ -98,7 +98,7 @@ def listed(path: PathLike, *, nested: bool = True) -> list[Series]:
             continue
         reader, kind = _reader(file), _kind_beside(file)
         if reader is None and not kind:
-            if nested:  # a missing last slice would not be noticed
+            if nested:  # a missing slice at the end would go unnoticed
                 what = "it is damaged, or no slice of any series"
                 raise unreadable(file, what, "give a whole copy of it, or take it out")
             kind = "not readable"
@@ -127,9 +127,9 @@ def listed(path: PathLike, *, nested: bool = True) -> list[Series]:
     return sorted(found, key=lambda one: (one.number, one.uid))
 
 
-# GDCM reads no header of what is no image (test_what_is_no_image_is_left_out_and_named).
+# GDCM reads no header of objects that are not images (test_what_is_no_image_is_left_out_and_named).
 def _kind_beside(path: str) -> str:
-    """Return the content of a file that is not an image, or is derived from one, by its SOP class."""
+    """Return the kind of an object that is not an image, or is derived from one, by its SOP class; else empty."""
     named = re.search(rb"\x02\x00\x02\x00UI..([0-9.]+)", first_bytes(path, 1024), re.DOTALL)
     uid = named[1].decode() if named else ""
     if not uid.startswith(_STORAGE):
@@ -139,25 +139,25 @@ def _kind_beside(path: str) -> str:
 
 
 def _head(path: str) -> Any:
-    """Return what pydicom reads of a file before its pixels; nothing of one that it cannot read, as others tell."""
+    """Return a file's pydicom.Dataset without pixels; an empty one if it cannot be read, which others report."""
     try:
         return pixelless(path)
-    except Exception:  # pydicom has many
+    except Exception:  # pydicom raises many types
         return dataset()
 
 
 def frame_of_reference(path: str) -> str:
-    """Return the UID of the frame of reference of a DICOM file: an image's, or of contours; "" if it says none."""
+    """Return the UID of the frame of reference of a DICOM file, an image or contours; "" if it has none."""
     head = _head(path)
     parts = [head, *(head.get("ReferencedFrameOfReferenceSequence") or ())]
     return next((str(part.FrameOfReferenceUID) for part in parts if part.get("FrameOfReferenceUID")), "")
 
 
 def padding_of(volume: Volume) -> float | None:
-    """Return the value of voxels that stand for no pixel (PixelPaddingValue), scaled; None if the file says none."""
+    """Return the scaled value of padding voxels (PixelPaddingValue); None if the file has none."""
     head = _head(volume.header[0] if isinstance(volume.header, tuple) else volume.header)
     stored = head.get("PixelPaddingValue")
-    if not isinstance(stored, int) or head.get("PhotometricInterpretation") == "MONOCHROME1":  # which GDCM inverts
+    if not isinstance(stored, int) or head.get("PhotometricInterpretation") == "MONOCHROME1":  # GDCM inverts it
         return None
     value = stored * float(head.get("RescaleSlope") or 1) + float(head.get("RescaleIntercept") or 0)
     limits = np.iinfo(volume.samples.dtype) if volume.samples.dtype.kind in "iu" else None
@@ -165,12 +165,12 @@ def padding_of(volume: Volume) -> float | None:
 
 
 def read(path: PathLike, series: str | None = None, irregular: str | None = None) -> Volume:
-    """Read a series of slices, or one file that holds many, as in `supple.media.volume.read`.
+    """Read a series of slices, or a multi-frame file, as in `supple.media.volume.read`.
 
-    Values are in the units of the files: for CT, Hounsfield's. No data on the patient are kept. SuppleError if there is
-    no such series, or there are several and none is named; a slice is missing, or of another size or direction than the
-    others; the slices are not stacked along a line; or a file cannot be read. Slices of a tilted gantry, whose line is
-    not their normal, make a sheared geometry.
+    Values are in the units of the files, for CT in Hounsfield units. No data on the patient are kept. SuppleError if
+    there is no such series, or there are several and none is named; a slice is missing, or differs from the others in
+    size or direction; the slices are not stacked along a line; or a file cannot be read. If that line is not their
+    normal, as with a tilted gantry, the geometry is sheared.
     """
     if irregular is not None:
         choice("irregular", irregular, ("resample",))
@@ -183,7 +183,7 @@ def read(path: PathLike, series: str | None = None, irregular: str | None = None
                 other = "give slices, or a file of frames"
                 advice = "supple points moves its contours" if kind == "RTSTRUCT" else other
                 raise unreadable(path, f"it is DICOM without a picture ({kind})", advice)
-            reader = informed(path, "DICOM")  # which says why
+            reader = informed(path, "DICOM")  # raises an error with the reason
         if reader.GetSize()[2:3] > (1,):
             return _frames(path, reader, path, irregular)
         found = listed(file.parent, nested=False)
@@ -225,7 +225,7 @@ def _check_pixels(path: PathLike, reader: Any) -> None:
 
 
 def _frames(path: PathLike, reader: Any, file: PathLike, irregular: str | None) -> Volume:
-    """Read one file that holds all slices; ``path`` is for messages."""
+    """Read a multi-frame file; ``path`` is for messages."""
     check_voxels(path, reader)
     _check_pixels(path, reader)
     known, order, uneven = frames_of(file), None, None
@@ -246,7 +246,7 @@ def _frames(path: PathLike, reader: Any, file: PathLike, irregular: str | None) 
 
 
 def _dose(path: PathLike, reader: Any) -> tuple[float, float]:
-    """Return the scaling of a dose to Gy, which GDCM does not apply; that of all else is 1."""
+    """Return the scaling of a dose to Gy, which GDCM does not apply; (1, 0) for other files."""
     text, scale = _tag(reader, _DOSE), 0.0
     with contextlib.suppress(ValueError):
         scale = float(text or 1)
@@ -257,15 +257,15 @@ def _dose(path: PathLike, reader: Any) -> tuple[float, float]:
 
 
 def dose_unit(path: PathLike) -> str:
-    """Return the unit of a scaled dose: Gy, or nothing for one that is relative."""
+    """Return the unit of a scaled dose: Gy, or empty for a relative dose."""
     reader = _reader(os.fspath(path))
     return "Gy" if reader is not None and _tag(reader, _DOSE_UNITS).upper() == "GY" else ""
 
 
 def _narrowed(samples: Array, readers: list[Any]) -> Array:
-    """Return values as they are meant: 16-bit ones in 16 bits (GDCM uses 32 for an intercept, such as CT's -1024)."""
+    """Undo GDCM's widening: 16-bit values, which it stores in 32 bits if there is an intercept, get 16 bits again."""
     if all(_tag(reader, _BITS) == "1" for reader in readers):
-        return samples // 255  # GDCM makes 255 of a bit, as of a segmentation's
+        return samples // 255  # GDCM reads single bits, as in segmentations, as 0 or 255
     if samples.dtype != np.int32 or not all(_tag(reader, _BITS) in ("8", "12", "16") for reader in readers):
         return samples
     known = np.iinfo(np.int16)
@@ -315,7 +315,7 @@ def _stacked(path: PathLike, series: Series, irregular: str | None) -> Volume:
 
 
 def _resampled(volume: Volume, places: Array, step: float) -> Volume:
-    """Return a volume whose slices, at some places along the stack, are interpolated linearly at even steps."""
+    """Return a volume with slices at even steps, interpolated linearly from those at ``places`` (mm)."""
     count = round(float(places[-1]) / step) + 1
     at = np.clip(np.searchsorted(places, np.arange(count) * step, "right") - 1, 0, len(places) - 2)
     part = np.clip((np.arange(count) * step - places[at]) / np.diff(places)[at], 0.0, 1.0)
@@ -333,10 +333,10 @@ def _resampled(volume: Volume, places: Array, step: float) -> Volume:
 def _ordered(
     path: PathLike, names: list[str], places: Array, direction: Array, pixel: float, irregular: str | None
 ) -> tuple[Array, float, Array, Array | None]:
-    """Return the order of slices along their normal, the step, the directions of the axes, and places that are uneven.
+    """Return the order of slices along their normal, the step, the directions of the axes, and, if uneven, the places.
 
-    The third axis is the normal, or, if slices are offset sideways (a tilted gantry, for one), the line of their first
-    pixels. SuppleError if they are not evenly stacked, and this is not accepted as ``irregular``.
+    The third axis is the normal, or, if slices are offset sideways (as with a tilted gantry), the line through their
+    first pixels. SuppleError if they are unevenly stacked, unless ``irregular`` accepts it.
     """
     along = (places - places[0]) @ direction[:, 2]
     order = np.argsort(along, kind="stable")
@@ -366,9 +366,9 @@ def _require_alike(path: PathLike, first: tuple[str, Any], other: tuple[str, Any
 
 
 def _check_steps(path: PathLike, names: list[str], along: Array, irregular: str | None) -> tuple[float, bool]:
-    """Return the step of slices, and whether they are even; otherwise, it is that of their number at the usual one."""
+    """Return the step between slices (mm), and whether it is even; if not, a step for resampling, near the median."""
     steps = np.diff(along)
-    usual = float(np.sort(steps)[(len(steps) - 1) // 2])  # the median, or the smaller one of the two
+    usual = float(np.sort(steps)[(len(steps) - 1) // 2])  # the median, or the smaller of the two in the middle
     even = float((along[-1] - along[0]) / len(steps))
 
     def between(k: int) -> str:

@@ -1,4 +1,4 @@
-"""DICOM files of many frames, by pydicom: where their frames lie, which GDCM takes for evenly stacked.
+"""Multi-frame DICOM files, by pydicom: the positions of their frames, which GDCM assumes to be evenly stacked.
 
 The attributes are those of DICOM PS3.3, C.7.6.16 (functional groups) and C.8.8.3 (doses).
 """
@@ -24,8 +24,8 @@ _ALIKE = 1e-4
 class Frames:
     """The frames of a file; positions and directions are in LPS, in millimetres."""
 
-    head: Any  # a pydicom.Dataset: all but the pixels
-    places: Array | None  # of the first pixel of each frame, shape (N, 3); None if the file does not tell
+    head: Any  # a pydicom.Dataset without pixels
+    places: Array | None  # positions of the first pixel of each frame, shape (N, 3); None if not in the file
     direction: Array  # the columns are the directions of the rows, of the columns, and of the normal
     spacing: tuple[float, float]  # from a pixel to the next along a row, and along a column
     scales: Array  # the rescale slope and intercept of each frame, or of all: shape (N or 1, 2)
@@ -37,13 +37,13 @@ class Frames:
         return (slope, intercept) if (self.scales == self.scales[0]).all() else None
 
     def rescaled(self, samples: Array) -> Array:
-        """Return values of which GDCM has rescaled all by the scale of the first frame, each by its own."""
+        """Return values with each frame rescaled by its own scale; GDCM has applied that of the first frame to all."""
         if self.scale is not None:
             return samples
         slope, intercept = self.scales[0]
         made = np.empty(samples.shape, np.float32)
         for one, frame, (own, offset) in zip(made, samples, self.scales, strict=True):
-            one[...] = np.rint((frame - intercept) / slope) * own + offset  # what is stored are integers
+            one[...] = np.rint((frame - intercept) / slope) * own + offset  # stored values are integers
         return made
 
 
@@ -64,13 +64,13 @@ def dataset(**values: Any) -> Any:
 
 
 def head_of(path: PathLike) -> Any:
-    """Return what pydicom reads of a file before its pixels."""
+    """Return a file's pydicom.Dataset without pixels."""
     with quiet():
         return imported().dcmread(path, stop_before_pixels=True)
 
 
 def without(made: Any, names: Iterable[str]) -> None:
-    """Leave attributes out of a dataset."""
+    """Remove attributes from a dataset."""
     for name in names:
         if name in made:
             delattr(made, name)
@@ -85,7 +85,7 @@ def quiet() -> Iterator[None]:
 
 
 def item_of(head: Any, k: int, name: str) -> Any | None:
-    """Return what a functional group says of the frame ``k``: its own, or the shared one."""
+    """Return the item of a functional group for frame ``k``, its own or the shared one; None if there is none."""
     own, shared = head.PerFrameFunctionalGroupsSequence[k], head.get("SharedFunctionalGroupsSequence") or ()
     return next((group.get(name)[0] for group in (own, *shared[:1]) if group.get(name)), None)
 
@@ -104,7 +104,7 @@ def frames_of(path: PathLike) -> Frames:
                 return Frames(head, None, np.eye(3), (1.0, 1.0), np.array([scale]))
             places, directions, spacings, scales = (np.array(each, np.float64) for each in told)
             count = int(head.NumberOfFrames)
-    except Exception as error:  # pydicom has many
+    except Exception as error:  # pydicom raises many types
         raise unreadable(path, "what it says of its frames is damaged") from error
     if places.shape != (count, 3) or not np.isfinite(places).all():
         if head.get("PerFrameFunctionalGroupsSequence") and places.size == 0:
@@ -124,7 +124,7 @@ def frames_of(path: PathLike) -> Frames:
 
 
 def _grouped(head: Any) -> tuple[list[Any], ...]:
-    """Return the places, directions, spacings and scales of the frames in functional groups; nothing for no places."""
+    """Return the positions, directions, spacings and scales of frames in functional groups; empty if missing."""
     rows: list[tuple[Any, ...]] = []
     for k in range(len(head.PerFrameFunctionalGroupsSequence)):
         place, turned, pixels, values = (
@@ -139,7 +139,7 @@ def _grouped(head: Any) -> tuple[list[Any], ...]:
 
 
 def _dosed(head: Any) -> tuple[list[Any], ...]:
-    """Return the same for a dose, whose frames have offsets from the first one, or its own coordinate as well."""
+    """Return the same for a dose; its frames have offsets from the first one, or coordinates along the third axis."""
     across, down = np.reshape(np.array(head.ImageOrientationPatient, np.float64), (2, 3))
     offsets = np.array(head.GridFrameOffsetVector, np.float64)
     places = np.array(head.ImagePositionPatient, np.float64) + np.outer(offsets - offsets[0], np.cross(across, down))

@@ -24,9 +24,9 @@ from supple.space.geometry import Geometry
 
 _LOADERS = {"NRRD": "NrrdImageIO", "MetaImage": "MetaImageIO", "DICOM": "GDCMImageIO", "NIfTI": "NiftiImageIO"}
 _MILLIMETRES = {"", "???", "mm", "millimeter", "millimeters", "millimetre", "millimetres"}
-# ITK's own entries, and entries that it always writes
+# entries that ITK adds on reading or always writes
 _OWN = re.compile(r"ITK_|NRRD_space$|NRRD_kinds|NRRD_sizes|NRRD_thicknesses")
-# What is of the source's voxels: the least and the largest value, in tags of DICOM too, and the extents of segments
+# Entries about the source's voxels: smallest and largest value, also as DICOM tags, and extents of segments.
 _RANGE = re.compile(r"ElementM(in|ax)$|(DICOM_)?0028[|_,]01(0[6-9]|1[01])$")
 _EXTENT = re.compile(r"Segment(\d+)_Extent")
 _SILENCE = threading.Lock()
@@ -43,9 +43,9 @@ def imported() -> Any:
 
 @contextlib.contextmanager
 def silence(own: str = "") -> Iterator[None]:
-    """Suppress standard error: ITK's readers, and OpenEXR's, print the messages of their exceptions there.
+    """Suppress standard error, to which ITK and OpenEXR print the messages of their exceptions.
 
-    With ``own``, a regular expression, only lines that it matches: what other threads write is passed on.
+    With ``own``, a regular expression, only matching lines are suppressed: the output of other threads is passed on.
     """
     with _SILENCE, contextlib.ExitStack() as stack:
         try:
@@ -68,7 +68,7 @@ def silence(own: str = "") -> Iterator[None]:
 
 
 def read(path: PathLike, *, header_only: bool = False) -> Volume:
-    """Read a NRRD or a MetaImage file, with its data in it or beside it.
+    """Read a NRRD or MetaImage file, with attached or detached data.
 
     With ``header_only``, samples take no memory, and are 0. SuppleError if it is missing, of another kind, damaged or
     cut short; if its voxels are not real numbers; or if it has more axes than x, y, z and time.
@@ -109,7 +109,7 @@ def read(path: PathLike, *, header_only: bool = False) -> Volume:
 
 
 def informed(path: PathLike, form: str, file: PathLike | None = None) -> Any:
-    """Return ITK's reader of a file, with the header read; ``file`` is that of the header, if another than ``path``."""
+    """Return ITK's reader of a file, with the header read; ``file`` is the header's file, if not ``path``."""
     reader = imported().ImageFileReader()
     reader.SetImageIO(_LOADERS[form])
     reader.SetFileName(os.fspath(path if file is None else file))
@@ -119,7 +119,7 @@ def informed(path: PathLike, form: str, file: PathLike | None = None) -> Any:
 
 
 def _scaling(path: PathLike, fields: dict[str, str]) -> tuple[float, float]:
-    """Return the slope and the intercept of a MetaImage, which ITK does not read."""
+    """Return the slope and the intercept in a MetaImage's header, which ITK ignores."""
     told = [fields.get(f"elementtointensityfunction{name}", usual) for name, usual in (("slope", "1"), ("offset", "0"))]
     slope, intercept = (float((_numbers(text) or [math.nan])[0]) for text in told)
     if not (math.isfinite(slope) and slope and math.isfinite(intercept)):
@@ -161,9 +161,9 @@ def _data_file(path: PathLike, fields: dict[str, str]) -> Path | None:
     return data
 
 
-# ITK fills what is missing, and leaves what is too much (test_sizes_other_than_those_of_the_data).
+# ITK fills in missing voxels, and ignores surplus ones (test_sizes_other_than_those_of_the_data).
 def _check_data(path: PathLike, data: Path | None, fields: dict[str, str], end: int, each: int) -> None:
-    """Raise SuppleError for a number of voxels that differs from the header, or damaged ones: ITK does not check."""
+    """Raise SuppleError if the data are damaged, or their size differs from the header's; ITK does not check."""
     sizes = [int(n) for n in re.findall(r"[-\d]+", fields.get("dimsize", fields.get("sizes", "")))]
     if "dimsize" in fields:
         known = "raw" if fields.get("binarydata", "true")[:1] in "Tt1" else "text"
@@ -189,13 +189,13 @@ def _check_data(path: PathLike, data: Path | None, fields: dict[str, str], end: 
         raise unreadable(path, what, "give a whole copy of it" if short else "correct the sizes in its header")
 
 
-# ITK puts another place for one that is none (test_places_that_would_be_replaced).
+# ITK replaces an invalid geometry by a default one (test_places_that_would_be_replaced).
 def _check_place(path: PathLike, fields: dict[str, str], ndim: int) -> None:
-    """Raise SuppleError for a position that ITK would replace: not a number, missing, or not in millimetres."""
+    """Raise SuppleError for a geometry that ITK would replace: not a number, missing, or not in millimetres."""
     if "elementspacing" in fields:
         check_spacing(path, _numbers(fields["elementspacing"])[:3])
     steps = fields.get("spacings", "").split()
-    if sum("nan" in step.lower() for step in steps) > max(len(steps) - ndim, 0):  # an axis not in space has none
+    if sum("nan" in step.lower() for step in steps) > max(len(steps) - ndim, 0):  # NaN for an axis not in space
         told = f"its spacing is {' x '.join(steps)}, and not three numbers above 0"
         raise unreadable(path, told, "correct its header")
     axes = re.findall(r"none|\([^)]*\)", fields.get("spacedirections", ""))
@@ -233,7 +233,7 @@ def geometry_of(path: PathLike, reader: Any, convention: str = "LPS") -> Geometr
 
 @contextlib.contextmanager
 def failing(path: PathLike, form: str, sizes: tuple[int, ...] = ()) -> Iterator[None]:
-    """Convert ITK's errors to one sentence, and suppress its output on the terminal."""
+    """Convert ITK's errors to one sentence, and suppress its output on standard error."""
     try:
         with silence():
             yield
@@ -249,11 +249,11 @@ def failing(path: PathLike, form: str, sizes: tuple[int, ...] = ()) -> Iterator[
 
 
 def _reason(text: str) -> str:
-    """Return the relevant line of ITK's text, if there is one: the last, without its origin."""
+    """Return the relevant line of an error of ITK, its last without the name of the source; empty if there is none."""
     line = next((line.strip() for line in reversed(text.splitlines()) if line.strip()), "")
     line = re.sub(r"^.*ERROR: (\w+\(0x\w+\): )?", "", line)
     if line.startswith(("Reason: ", "Cannot read requested", "Unable to determine", "Exception thrown")):
-        return ""  # the last failure is not the cause
+        return ""  # a consequence, not the cause
     return re.sub(r"^(\[\w+\] )?(\w+: )?", "", line).rstrip(".")
 
 
@@ -266,7 +266,7 @@ def write(path: PathLike, samples: Array, like: Volume, *, force: bool = False) 
         made = [(stack.enter_context(replacing(path, force=force)), suffix)]
         if suffix == ".mhd":
             made.append((stack.enter_context(replacing(target.with_suffix(".raw"), force=force)), ".raw"))
-        # ITK writes into a folder of its own, under the name in the header
+        # in a temporary folder, as ITK stores the name of the data file in the header
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix=".", dir=target.parent)))
         file = folder / f"{target.stem}{suffix}"
         image = _image(sitk, samples, like, "NRRD" if suffix == ".nrrd" else "MetaImage")
@@ -298,14 +298,14 @@ def _image(sitk: Any, samples: Array, like: Volume, form: str) -> Any:
 
 
 def header_of(samples: Array, like: Volume) -> dict[str, str]:
-    """Return the header for new samples: without ranges of values, and with the extents of segments as they are now."""
+    """Return the header for new samples: ranges of values are removed, and extents of segments are computed anew."""
     made = {key: text for key, text in (like.header or {}).items() if not _RANGE.match(key)}
-    if like.regridded:  # it counts voxels from those of another grid
+    if like.regridded:  # this offset refers to the old grid
         made.pop("Segmentation_ReferenceImageExtentOffset", None)
     for key, k in [(found[0], found[1]) for found in map(_EXTENT.fullmatch, made) if found]:
         label, layer = (str(made.get(f"Segment{k}_{name}", usual)) for name, usual in (("LabelValue", 1), ("Layer", k)))
         del made[key]
-        with contextlib.suppress(ValueError, IndexError):  # of a label or a layer that is none
+        with contextlib.suppress(ValueError, IndexError):  # for an invalid label or layer
             mask = np.asarray((samples if samples.ndim == 3 else samples[..., int(layer)]) == int(label))
             ends = [np.flatnonzero(mask.any(axis)) for axis in ((0, 1), (0, 2), (1, 2))]
             made[key] = " ".join(f"{at[0]} {at[-1]}" if at.size else "0 -1" for at in ends)

@@ -1,4 +1,4 @@
-"""FreeSurfer's .mgz and .mgh: the header by nibabel; the tags behind the voxels, which it leaves out, are kept."""
+"""FreeSurfer's .mgz and .mgh: nibabel reads the header; the tags after the voxels, which it ignores, are kept."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from supple.media.files import PathLike, replacing, unreadable, unwritable
 from supple.media.volume.data import TO_RAS, Array, Volume, native, placed, reading
 from supple.media.volume.nifti import filled, opened, writing
 
-_START, _FOOTER = 284, 20  # bytes before the voxels, and of the parameters of the scan behind them
+_START, _FOOTER = 284, 20  # bytes before the voxels, and of the scan parameters after them
 _TYPES = ("uint8", "int16", "int32", "float32")
 
 
@@ -25,7 +25,7 @@ def _imported() -> Any:
 
 
 def read(path: PathLike, *, header_only: bool = False) -> Volume:
-    """Read a file; without a place of its own, it has FreeSurfer's usual one. Frames are a series in time."""
+    """Read a file; without a stored geometry, FreeSurfer's default is used. Frames become a time series."""
     kind = _imported()
     with reading(path), opened(path) as file:
         start = file.read(_START)
@@ -60,7 +60,7 @@ def check(path: PathLike, like: Volume, dtype: np.dtype[Any]) -> None:
 
 
 def write(path: PathLike, samples: Array, like: Volume, *, force: bool = False) -> None:
-    """Write a file, compressed if its name ends in ``.mgz``; a volume from one keeps its header and tags."""
+    """Write a file, compressed if its name ends in ``.mgz``; a volume read from MGH keeps its header and tags."""
     kind = _imported()
     known, tags = like.header if like.format == "MGH" else (kind.MGHHeader(), b"")
     header = known.copy()

@@ -1,4 +1,4 @@
-"""NIfTI files: the header by nibabel, the voxels mapped from the file or read into memory."""
+"""NIfTI files: nibabel reads the header; voxels are memory-mapped, or read into memory."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from supple.media.volume.data import (
 from supple.space.geometry import Geometry
 
 _GZIP = b"\x1f\x8b"
-_MILLIMETRES = {1: 1000.0, 3: 0.001}  # units of a metre, of a micrometre
+_MILLIMETRES = {1: 1000.0, 3: 0.001}  # by unit code: metre, micrometre
 _SECONDS = {16: 1e-3, 24: 1e-6}
 _COLOURS = {128: 3, 2304: 4}  # RGB24, RGBA32
 _VECTOR = 1007  # the intent of a vector for each voxel
@@ -44,8 +44,8 @@ _SAME = 0.01  # of a voxel: the largest difference of qform and sform by roundin
 def imported() -> Any:
     """Return nibabel, imported at the first use.
 
-    It would import pydicom, for an extension of NIfTI that few files have, which takes seven times as long as all of
-    nibabel: without it, these extensions are bytes, as they are copied.
+    pydicom is hidden during the import: nibabel would import it for a rare extension of NIfTI, which takes seven times
+    as long as nibabel itself. Without it, these extensions are bytes, which are copied.
     """
     need("volume", "NIfTI files", "nibabel")
     hidden = not sys.modules.keys() & {"nibabel", "pydicom"}
@@ -62,10 +62,10 @@ def imported() -> Any:
 def read(path: PathLike, *, header_only: bool = False) -> Volume:
     """Read a NIfTI file, or a pair of .hdr and .img; uncompressed data are mapped.
 
-    The geometry is that of the sform if it has a code, else of the qform; if they differ, a warning names the one that
-    is used, which is ITK's choice, but for a sheared sform, which no qform can be. An sform alone is used, with a
-    warning if its sizes of voxels are not those of pixdim. Without a code, only the spacing is known, and no position
-    in space. With ``header_only``, samples take no memory, and are 0.
+    The geometry is that of the sform if it has a code, else of the qform. If both have one and they differ, ITK's
+    choice is used, or the sform if it is sheared, as a qform cannot be; a warning names it. A warning also says if the
+    voxel sizes of a single sform differ from pixdim. Without a code, the spacing is known, but no position in space.
+    With ``header_only``, samples are 0, and take no memory.
     """
     first, data = _pair(path)
     header, single = _header(first)
@@ -102,7 +102,7 @@ def read(path: PathLike, *, header_only: bool = False) -> Volume:
 
 
 def outline(path: PathLike) -> tuple[Any, tuple[int, ...], int, bool]:
-    """Return the header of a file, its sizes, its number of components, and whether there is time, without voxels."""
+    """Return, without reading voxels: the header, sizes, number of components, and whether there is a time axis."""
     header, _ = _header(_pair(path)[0])
     return header, *_axes(path, header)
 
@@ -119,7 +119,7 @@ def _pair(path: PathLike) -> tuple[Path, Path]:
 
 def opened(path: PathLike) -> IO[bytes]:
     """Open a file for reading, unpacked if it is compressed by gzip."""
-    packed = head_of(path, 2) == _GZIP  # independent of the name
+    packed = head_of(path, 2) == _GZIP  # whatever the name is
     return cast("IO[bytes]", gzip.open(path)) if packed else open(path, "rb")
 
 
@@ -193,14 +193,14 @@ def _samples(path: PathLike, shape: tuple[int, ...], dtype: np.dtype[Any], offse
             return np.memmap(path, dtype, "r", offset, shape)
         file.seek(offset)
         samples, rest = filled(path, file, dtype, shape, offset), 0
-        while count := len(file.read(_CHUNK)):  # to the end, for the checksum
+        while count := len(file.read(_CHUNK)):  # read to the end, where gzip verifies the checksum
             rest += count
         _check_rest(path, wanted, rest, row)
         return samples
 
 
 def filled(path: PathLike, file: IO[bytes], dtype: np.dtype[Any], shape: Sequence[int], offset: int) -> Array:
-    """Return the voxels that follow in a file, of which so many bytes are read; SuppleError if it ends before."""
+    """Return the voxels that follow in a file after ``offset`` bytes; SuppleError if it ends early."""
     try:
         samples = np.empty(shape, dtype)
     except (MemoryError, ValueError) as error:
@@ -214,7 +214,7 @@ def filled(path: PathLike, file: IO[bytes], dtype: np.dtype[Any], shape: Sequenc
     return samples
 
 
-# nibabel takes what is left for nothing (test_sizes_smaller_than_the_data).
+# nibabel ignores data after the voxels (test_sizes_smaller_than_the_data).
 def _check_rest(path: PathLike, wanted: int, rest: int, row: int) -> None:
     """Raise SuppleError for a row or more after the voxels: the sizes in the header are wrong."""
     if rest >= row:
@@ -256,7 +256,7 @@ def _geometry(path: PathLike, first: Path, header: Any, sizes: tuple[int, ...], 
             )
             text += f"can: the sform is used; {others} use the qform, up to {far:.3g} mm off"
         elif far > _SAME * min(steps):
-            # Programs that share fields and landmarks read the file by ITK, whose choice depends on the codes.
+            # As ITK does, with which other programs read fields and landmarks; its choice depends on the codes.
             from supple.media.volume import itk
 
             geometry = itk.geometry_of(path, itk.informed(path, "NIfTI", first), "RAS")
@@ -314,18 +314,18 @@ def write(path: PathLike, samples: Array, like: Volume, *, force: bool = False) 
 
 @contextlib.contextmanager
 def writing(temporary: Path, name: str) -> Iterator[IO[bytes]]:
-    """Write a file; compressed if its name ends in ``.gz``, at a low level, since the last bits are noise."""
+    """Open a file for writing; if its name ends in ``.gz``, it is compressed, at a low level, as low bits are noise."""
     with open(temporary, "wb") as plain:
         if not name.lower().endswith(".gz"):
             yield plain
             return
-        # without name and time, so that the same volume makes the same file
+        # without name and time, so that equal volumes give equal files
         with gzip.GzipFile("", "wb", 1, plain, 0) as packed:
             yield packed  # type: ignore[misc]
 
 
 def _copied(known: Any, samples: Array) -> Any:
-    """Return a copy of a file's header, for samples of perhaps another type, in one file."""
+    """Return a copy of a header with the dtype of new samples, for a single file (.nii)."""
     header = known.copy()
     if int(header["datatype"]) not in _COLOURS or samples.dtype != np.uint8:
         if int(header["datatype"]) in _COLOURS:
@@ -339,11 +339,11 @@ def _copied(known: Any, samples: Array) -> Any:
 
 
 def _placed(header: Any, like: Volume) -> Any:
-    """Return a header with the sizes and the place of other voxels; None if it cannot hold such sizes."""
+    """Return a header with the sizes and the geometry of other voxels; None if it cannot hold such sizes."""
     sizes, unit = like.sizes, _MILLIMETRES.get(int(header["xyzt_units"]) & 7, 1.0)
     if max(sizes) > np.iinfo(header["dim"].dtype).max:
         return None
-    if int(header["dim"][3]) != sizes[2] or int(header["dim"][0]) < 3:  # it told how these slices were scanned
+    if int(header["dim"][3]) != sizes[2] or int(header["dim"][0]) < 3:  # describe the scan of its slices
         header["slice_start"] = header["slice_end"] = header["slice_code"] = header["slice_duration"] = 0
     header["dim"][0] = max(int(header["dim"][0]), 3)
     header["dim"][1:4] = sizes
@@ -361,7 +361,7 @@ def _placed(header: Any, like: Volume) -> Any:
 
 
 def _check_forms(header: Any, like: Volume) -> None:
-    """Leave out the qform of a sheared volume, which it does not hold."""
+    """Remove the qform for a sheared volume, which a qform cannot describe."""
     if like.geometry.shear:
         header["qform_code"], header["sform_code"] = 0, int(header["sform_code"]) or int(header["qform_code"])
 

@@ -1,4 +1,4 @@
-"""Stacks of TIFF pages, by libvips, with the spacing in ImageJ's form."""
+"""Volumes as stacks of TIFF pages, by libvips; the spacing is stored as by ImageJ."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ from supple.media.volume.data import Array, Volume, native
 from supple.space.geometry import Geometry
 
 SUFFIXES = (".tif", ".tiff")
-_LETTERS = {"T": "t", "C": "c", "S": "c", "Z": "z", "Q": "z", "I": "z", "Y": "y", "X": "x"}  # of tifffile
-_CHANNELS = "channels"  # the header of volumes whose components are pages
+_LETTERS = {"T": "t", "C": "c", "S": "c", "Z": "z", "Q": "z", "I": "z", "Y": "y", "X": "x"}  # tifffile's axes
+_CHANNELS = "channels"  # `Volume.header` where components are stored as pages
 MILLIMETRES = {
     **dict.fromkeys(("m", "meter", "metre"), 1000.0),
     **dict.fromkeys(("cm", "centimeter"), 10.0),
@@ -31,7 +31,7 @@ MILLIMETRES = {
     **dict.fromkeys(("nm", "nanometer"), 1e-6),
     **dict.fromkeys(("inch", "in"), 25.4),
 }
-"""By the names of units, in lower case."""
+"""Millimetres in a unit, by its name in lower case."""
 _SECONDS = {"s": 1.0, "ms": 1e-3, "\u00b5s": 1e-6, "min": 60.0, "h": 3600.0}
 
 
@@ -44,7 +44,7 @@ def has_pages(path: PathLike) -> bool:
 
 
 def place(path: PathLike) -> Geometry:
-    """Return the spacing of a stack, from the description of ImageJ or OME-TIFF; errors as in `read`."""
+    """Return the geometry of a stack, its spacing alone, from the description of ImageJ or OME; errors as in `read`."""
     from supple.media.image.vips import opened
 
     image, _ = opened(path)
@@ -52,10 +52,10 @@ def place(path: PathLike) -> Geometry:
 
 
 def read(path: PathLike) -> Volume:
-    """Read a TIFF of slices, with the axes and the spacing that it says, as OME-TIFF, ImageJ and tifffile do.
+    """Read a TIFF of slices, with the axes and the spacing that OME-TIFF, ImageJ or tifffile have stored in it.
 
-    Channels become components, and times a series. SuppleError if it is not a TIFF, damaged, or its pages differ; or if
-    it has other axes, or times and channels.
+    Channels become components, and times a series. SuppleError if it is not a TIFF, or damaged; if its pages differ; or
+    if it has other axes, or both times and channels.
     """
     import pyvips
 
@@ -85,7 +85,7 @@ def read(path: PathLike) -> Volume:
     first, last = min(own), max(own)
     with decoding(path):
         source = pyvips.Source.new_from_file(os.fsencode(path))
-        # of damaged tiles, libvips only warns
+        # libvips only warns of damaged tiles
         options = {"page": first, "n": last - first + 1, "access": "sequential"}
         options["fail_on"] = "warning" if Page(path).tiled else "error"
         tall = apart(lambda: pyvips.Image.new_from_source(source, "", **options))
@@ -115,10 +115,10 @@ def read(path: PathLike) -> Volume:
 
 @contextlib.contextmanager
 def series_of(path: PathLike, *, alike: bool = False) -> Iterator[tuple[Any, Any]]:
-    """Open a TIFF by tifffile, which knows the axes of OME-TIFF, ImageJ and others, and yield it and its first image.
+    """Open a TIFF by tifffile, which reads the axes of OME-TIFF, ImageJ and others; yield the file and its first image.
 
-    It warns of further images, and of what tifffile logs. SuppleError if it is damaged, or parts of it are missing; or,
-    with ``alike``, if pages differ that nothing says to be several images.
+    Further images, and messages that tifffile logs, become warnings. SuppleError if it is damaged or incomplete; or,
+    with ``alike``, if pages differ in a file without metadata that declares several images.
     """
     need("volume", "TIFFs of several pages", "tifffile")
     import tifffile
@@ -137,9 +137,9 @@ def series_of(path: PathLike, *, alike: bool = False) -> Iterator[tuple[Any, Any
 
 
 def axes_of(path: PathLike, series: Any) -> dict[int, str]:
-    """Return the axes of an image of tifffile by their places: some of "tczyx", without those of one sample.
+    """Return the axes of an image of tifffile by their index: some of "tczyx", without axes of length 1.
 
-    SuppleError if there are others, or one is there twice.
+    SuppleError for other or repeated axes.
     """
     letters = enumerate(zip(series.axes, series.shape, strict=True))
     names = {k: _LETTERS.get(letter, letter) for k, (letter, size) in letters if size > 1 or letter in "YX"}
@@ -150,14 +150,14 @@ def axes_of(path: PathLike, series: Any) -> dict[int, str]:
 
 
 def reading(path: PathLike) -> contextlib.AbstractContextManager[None]:
-    """Convert all errors of tifffile, which are of any kind where a file is damaged, to one sentence."""
+    """Convert all errors of tifffile to one sentence; it raises errors of any type for damaged files."""
     what = "it is damaged, cut short, or no TIFF"
     return refusing(lambda error: unreadable(path, f"{what} ({said(error)})"), Exception)
 
 
 @contextlib.contextmanager
 def _heard(path: PathLike) -> Iterator[None]:
-    """Warn of what tifffile logs; raise SuppleError where pages are lost, or zeros would take their place."""
+    """Turn tifffile's log messages into warnings, or a SuppleError if pages are lost or would be replaced by zeros."""
     import tifffile
 
     texts: list[str] = []
@@ -169,7 +169,7 @@ def _heard(path: PathLike) -> Iterator[None]:
         yield
     finally:
         logger.propagate, logger.handlers = before
-    # libvips takes a file that ends between two pages for whole
+    # libvips does not notice a file that ends between two pages
     if any("ERROR <tifffile.TiffPages" in text for text in texts):
         raise unreadable(path, "its list of pages is damaged or cut short")
     if any("zeroed" in text for text in texts):
@@ -180,9 +180,9 @@ def _heard(path: PathLike) -> Iterator[None]:
 
 
 def _description(image: Any) -> dict[str, float]:
-    """Return the numbers of the description of ImageJ, with the millimetres of its unit, or of OME-TIFF.
+    """Return the numbers in ImageJ's description, and its unit in millimetres as ``unit``; or those of an OME-TIFF.
 
-    Of the latter, the spacing is ``x``, ``y`` and ``z``, in millimetres, and ``finterval`` is in seconds.
+    For OME-TIFF, the spacing is ``x``, ``y`` and ``z`` in millimetres, and ``finterval`` is in seconds.
     """
     text = image.get("image-description") if image.get_typeof("image-description") else ""
     if "<OME" in text[:1000]:
@@ -218,7 +218,7 @@ def _spacing(image: Any, numbers: dict[str, float]) -> tuple[float, float, float
     if "unit" not in numbers:
         return 1.0, 1.0, 1.0
     unit = numbers["unit"]
-    # pixels per millimetre in libvips, if the file has a unit
+    # libvips' resolution is in pixels per millimetre if the file has a unit
     across = 1.0 if image.get_typeof("resolution-unit") else unit
     x, y = (across / res if res > 0 else 1.0 for res in (image.xres, image.yres))
     return x, y, abs(numbers.get("spacing", 0.0) or 1.0) * unit
@@ -246,7 +246,7 @@ def check(path: PathLike, like: Volume, dtype: np.dtype[Any]) -> None:
 def write(path: PathLike, samples: Array, like: Volume, *, force: bool = False) -> None:
     """Write a page for each slice, of each channel and time; origin and direction are lost.
 
-    The axes and the spacing are stored in ImageJ's form, or, under ``.ome.tif``, in that of OME-TIFF.
+    Axes and spacing are stored as by ImageJ, or, in an ``.ome.tif``, as OME-TIFF.
     """
     import pyvips
 
@@ -289,5 +289,5 @@ def write(path: PathLike, samples: Array, like: Volume, *, force: bool = False) 
 
 
 def _are_colours(like: Volume, dtype: np.dtype[Any]) -> bool:
-    """Return whether components are the colours of a page, and not channels, each of which has pages."""
+    """Return whether components are the colours of each page; otherwise, each component has pages of its own."""
     return like.components in (3, 4) and dtype.str[1:] in ("u1", "u2") and like.header != _CHANNELS

@@ -1,4 +1,4 @@
-"""Raw voxels, with three sizes before them (the volumes of TU Wien) or without a header."""
+"""Raw voxels, without a header, or after three sizes (the .dat volumes of TU Wien)."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _GZIP = b"\x1f\x8b"
 
 
 def read_dat(path: PathLike) -> Volume:
-    """Map a volume of TU Wien: three sizes, x first, and as many samples, all little-endian, unsigned, of 16 bits.
+    """Map a .dat volume of TU Wien: three sizes, x first, and the samples; all are little-endian uint16.
 
     SuppleError if it is missing, or its length does not match its sizes.
     """
@@ -55,7 +55,7 @@ def _mapped(path: PathLike, layout: RawLayout) -> Volume:
 
 
 def count_bytes(path: PathLike, start: int, most: int, packed: int | None = None) -> int:
-    """Return the number of bytes of voxels from an offset on; for compressed ones (zlib, gzip) at most about `most`.
+    """Return the number of bytes of voxels from an offset on; compressed data (zlib, gzip) count up to about `most`.
 
     `packed` is the compressed size; 0 if it is unknown. OSError, EOFError or zlib.error if the file cannot be read, or
     the compressed data are incomplete, or their checksum is wrong.

@@ -26,8 +26,8 @@ def heard(tell: Ear) -> Iterator[None]:
     """Pass the warnings of this thread, and of threads that work for it, to a function instead of printing them.
 
     `warnings.catch_warnings` is not safe with several threads. A warning of a thread without a listener goes to the
-    background listener, as its helpers have threads of their own; those of the main thread are handled as usual. The
-    function is called, in the thread of the warning, with its message and its category.
+    newest listener of a background thread, as that may have started it; warnings of the main thread are handled as
+    usual. The function is called, in the thread of the warning, with its message and its category.
     """
     mine = (threading.get_ident(), tell)
     with _lock:
@@ -65,7 +65,7 @@ def _listen() -> None:
 
 
 class Certifier:
-    """The last report of a deformation, measured in a thread, which calls a function after it: then ask again."""
+    """The last report of a deformation, measured in a thread, which then calls ``on_report``, to ask for it again."""
 
     def __init__(self, on_report: Callable[[], None]) -> None:
         self._on_report = on_report

@@ -28,22 +28,22 @@ from supple.viewer.document.landmarks import Landmarks
 Kind = Literal["image", "video", "volume"]
 Point = tuple[float, ...]
 Handle = tuple[Point, Point]
-"""A point of a stroke, and where it ends."""
+"""A point of a stroke, and its position after the stroke."""
 _EMPTY = Recipe()
 
 
 @dataclass(frozen=True, slots=True)
 class State:
-    """The state that is undone and redone.
+    """A state of the document, for undo and redo.
 
-    Points are samples here; if those of the file are in millimetres, ``rest`` has their space.
+    Points are in samples here; if those of the recipe's file are in millimetres, ``rest`` has their space.
     """
 
     strokes: tuple[Stroke, ...] = ()  # in the order of application, with the hidden ones
     rest: Recipe = _EMPTY  # the recipe's other options
     selected: int | None = None
     made_by: str = field(default="", compare=False)  # the step that led here, in words
-    marks: Landmarks | None = None  # of a volume
+    marks: Landmarks | None = None  # the landmarks of a volume
 
     @classmethod
     def of(cls, recipe: Recipe, space: CoordinateSpace | None = None) -> Self:
@@ -88,7 +88,7 @@ class State:
 
 @dataclass(frozen=True, slots=True)
 class Track:
-    """A visible stroke on screen: at its full drag, if its recipe applies a fraction of it."""
+    """A visible stroke on screen: shown at its full drag, even if the recipe applies a fraction of it."""
 
     stroke: Stroke
     handles: tuple[Handle, ...]
@@ -110,10 +110,10 @@ def handles_of(stroke: Stroke) -> tuple[Handle, ...]:
 
 @dataclass(frozen=True, slots=True)
 class Solved:
-    """A state, and the deformation after none, one, two, … of its visible strokes.
+    """A state, and ``chain``, the deformations after none, one, two, … of its visible strokes.
 
-    ``visible`` are these, as they are in the frame shown, with their indices; ``wholes`` the deformations before each
-    of them at full strength, those of the chain itself where they are equal.
+    ``visible`` has these strokes, as they are in the frame shown, with their indices; ``wholes`` the deformations
+    before each of them at full strength, which are those of the chain itself where they are equal.
     """
 
     state: State
@@ -124,7 +124,7 @@ class Solved:
     tracks: tuple[Track, ...] = ()
 
     def before(self, k: int) -> tuple[Deformation, Deformation]:
-        """Return the deformation before a visible stroke, or the next one: at full strength, and as applied."""
+        """Return the deformation before visible stroke ``k`` or the next one: at full strength, and as applied."""
         if k < len(self.wholes):
             return self.wholes[k], self.chain[k]
         if k == 0:
@@ -176,11 +176,11 @@ class Document:
         self.on_change: list[Callable[[], None]] = []  # called after each change
         self.trouble: str | None = None  # the reason why the current drag is refused, for the status line
         self._drag: tuple[Solved, int | None] | None = None
-        self.frame, self.hold = 0, hold  # of a clip: the frame shown, and how many stay as they are at each end
-        self._timed = True  # the kind of the next stroke of a clip that has none
+        self.frame, self.hold = 0, hold  # of a clip: the frame shown, and how many frames at each end stay unchanged
+        self._timed = True  # of a clip without strokes: whether the next one is in time
         self._now = self._solved(replace(self._state(recipe or Recipe()), marks=marks), None)
         self.steps: tuple[State, ...] = (self._now.state,)
-        """The states that undo and redo go through, from the first to the last; as many as there were edits."""
+        """The states that undo and redo go through, from the first to the last; their number is unlimited."""
         self.step = 0  # the index of the present one
         self._saved = self._now.state.content
         self._plain = self.deformation.without_strokes()
@@ -193,7 +193,7 @@ class Document:
 
     @property
     def size(self) -> tuple[int, ...]:
-        """The samples along each axis of the points of strokes, x first."""
+        """The number of samples along each axis of strokes' points, x first."""
         return self.deformation.shape[::-1]
 
     @property
@@ -203,7 +203,7 @@ class Document:
 
     @property
     def marks(self) -> Landmarks | None:
-        """The landmarks of a volume, of which there may be none yet; None where none can be."""
+        """The landmarks of a volume, perhaps none yet; None if the document cannot have landmarks."""
         return self._now.state.marks
 
     @property
@@ -218,7 +218,7 @@ class Document:
 
     @property
     def timed(self) -> bool:
-        """True if strokes are in time, with points of three numbers; otherwise, those of a clip are in every frame."""
+        """True if strokes are in time, with points (x, y, t); otherwise, strokes of a clip apply to every frame."""
         return self._is_timed(self.state)
 
     @timed.setter
@@ -244,7 +244,7 @@ class Document:
             self.trouble = None
             try:
                 self._now = self._solved(self.state, self._now)
-            except SuppleError as error:  # as in an export
+            except SuppleError as error:  # an export would fail in this frame, too
                 self.trouble = f"frame {frame}: {error}"
         if self._base is not None and (faded or self._base[0].recipe.moves):
             with contextlib.suppress(SuppleError):
@@ -277,7 +277,7 @@ class Document:
         return self.state.rest.space if self.geometry is not None else None
 
     def as_saved(self, stroke: Stroke) -> Stroke:
-        """Return a stroke with its points as the recipe has them."""
+        """Return a stroke with its points in the coordinates of the recipe."""
         if self.space is None or self.geometry is None:
             return stroke
         return placed(Recipe(strokes=(stroke,)), self.geometry, self.space).strokes[0]
@@ -289,7 +289,7 @@ class Document:
         return indexed(Recipe(strokes=(stroke,), space=self.space), self.geometry, "the volume").strokes[0]
 
     def place(self, point: Point) -> Point:
-        """Return a point as the recipe has it."""
+        """Return a point in the coordinates of the recipe."""
         if self.space is None or self.geometry is None:
             return point
         return tuple(self.geometry.to_world(point, self.space).tolist())
@@ -300,7 +300,7 @@ class Document:
         return None if known is None else self.deformation.arrival(known)
 
     def warning(self, i: int) -> str | None:
-        """Return what is said of a stroke that is not carried out as a whole."""
+        """Return the warning of a stroke that is not applied as a whole; None without one."""
         known = self._nth(i)
         return None if known is None else self.deformation.warnings[known]
 
@@ -316,7 +316,7 @@ class Document:
         return next((self._now.visible[k][0] for k in found if k is not None), None)
 
     def handles(self, i: int) -> tuple[Handle, ...]:
-        """Return the points of a stroke and their positions after it; for a hidden one, and all but the first, targets.
+        """Return the points of a stroke, and the first one's position after it; targets for others, or if it is hidden.
 
         The point of a twist, a scale or a pinch stays where it is.
         """
@@ -324,9 +324,9 @@ class Document:
         return handles_of(self.strokes[i]) if known is None else self._now.tracks[known].handles
 
     def tracks(self) -> list[tuple[int, Track]]:
-        """Return the strokes that have handles on screen, and their indices: no hidden ones.
+        """Return the strokes that have handles on screen, and their indices; hidden strokes have none.
 
-        Those of a painting have none, as they are many; during a drag, only what is dragged has some.
+        Strokes of a painting have none, as they have many points; during a drag, only the dragged stroke has handles.
         """
         visible = (i for i, stroke in enumerate(self.strokes) if not stroke.hidden)
         pairs, chosen, lone = zip(visible, self._now.tracks, strict=True), self.selected, self.dragging
@@ -341,12 +341,12 @@ class Document:
         return self._now.chain[self._nth(i) or 0]
 
     def beneath(self, i: int, point: tuple[float, ...]) -> tuple[float, ...]:
-        """Return where the material that is seen at a point was before a stroke, which is not hidden."""
+        """Return the position, before a stroke that is not hidden, of the material that is now at a point."""
         before = self.below(i)
         return tuple(before.forward(self.deformation.inverse(point).points).tolist())
 
     def seen(self, i: int) -> Stroke:
-        """Return a stroke at its full drag on screen, if its recipe applies a fraction of it."""
+        """Return a stroke as on screen: at its full drag, even if the recipe applies a fraction of it."""
         known = self._nth(i)
         return self.strokes[i] if known is None else self._now.tracks[known].stroke
 
@@ -362,7 +362,7 @@ class Document:
         self._edit(self._replaced(self.state, self._checked(i), stroke))
 
     def change(self, i: int, then: Stroke) -> None:
-        """Replace a stroke by what it is after an edit of what it is in the frame shown; see `edited`."""
+        """Edit a stroke, which becomes ``then`` in the frame shown; see `edited`."""
         stroke = self.strokes[self._checked(i)]
         self.replace(i, edited(stroke, stroke.at_frame(self.frame), then, self.frame))
 
@@ -388,7 +388,7 @@ class Document:
         self._edit(self.state.with_stroke(i, replace(self.strokes[i], hidden=bool(hidden))))
 
     def set_rest(self, **options: Any) -> None:
-        """Set other options of the recipe: ``border``, ``on_fold``, ``straighten``; that of no effect is none."""
+        """Set options of the recipe: ``border``, ``on_fold``, ``straighten``, as None if it has no effect."""
         if options.get("straighten") == Straighten():
             options["straighten"] = None
         self._edit(self._with_rest(self.state, options))
@@ -401,7 +401,7 @@ class Document:
 
     @property
     def freeze(self) -> Freeze:
-        """The mask of the state; in a clip, where nothing was frozen, that of all its frames."""
+        """The freeze mask of the state; if there is none, one that freezes nothing: in a clip, for all frames."""
         known = self.state.mask
         if known is not None:
             return known
@@ -410,9 +410,9 @@ class Document:
         return Freeze.free(self.shape[-n:], domain.spacing[:n])
 
     def set_freeze(self, freeze: Freeze | None) -> None:
-        """Freeze what strokes from now on move nothing of, by an item of the list; the next one changes the same item.
+        """Set the freeze mask of later strokes, by an item of the list, which the next call before a stroke replaces.
 
-        Before the first stroke, it is the freeze mask of the recipe. One in which nothing is frozen is none.
+        Before the first stroke, it is the freeze mask of the recipe. A mask that freezes nothing counts as None.
         """
         state = replace(self.state.without_freeze, made_by=words.freezing(self.state.mask, freeze))
         mask = None if freeze is None or freeze.is_free else freeze
@@ -427,7 +427,7 @@ class Document:
         self._edit(state)
 
     def preview_rest(self, **options: Any) -> bool:
-        """Show other options of the recipe, as the amount, as the current drag; as `preview` does."""
+        """Show other options of the recipe, such as the amount, as the current drag; return as `preview` does."""
         before, _ = self._dragged()
         return self._tried(self._with_rest(before.state, options))
 
@@ -444,7 +444,7 @@ class Document:
         self._edit(replace(self._state(recipe), marks=self.state.marks))
 
     def mark(self, marks: Landmarks, made_by: str) -> None:
-        """Set the landmarks, as one step, which moves nothing."""
+        """Set the landmarks, as one step, which does not change the deformation."""
         self._rest()
         self._push(replace(self.state, marks=marks, made_by=made_by))
         self._show(replace(self._now, state=self.steps[self.step]))
@@ -533,11 +533,11 @@ class Document:
 
     @property
     def base(self) -> Deformation:
-        """The deformation of what the present state is compared with; that of the original moves nothing."""
+        """The deformation of the state that the present one is compared with; the identity for the original."""
         return self._plain if self._base is None else self._base[1]
 
     def compare(self, step: int | None) -> None:
-        """Compare with one of `steps`, whatever is undone later; or with the original again."""
+        """Compare with one of `steps`, which later undo and redo do not change; None for the original again."""
         if step is None:
             self._base = None
         else:
@@ -572,8 +572,8 @@ class Document:
     def preview(self, *strokes: Stroke, select: bool = True, whole: bool = False) -> bool:
         """Show the current drag of one or several strokes, in coordinates of the screen; return whether it is valid.
 
-        The first is selected, if that is asked for. If it is not valid, the last preview stays, and `trouble` has the
-        reason. A stroke that is animated gets a key in the frame shown; with ``whole``, all its positions move.
+        With ``select``, the first is selected. If the drag is not valid, the last preview stays, and `trouble` has the
+        reason. An animated stroke gets a key in the frame shown; with ``whole``, the positions of all its keys move.
         """
         before, i = self._dragged()
         state = before.state
@@ -656,7 +656,7 @@ class Document:
             empty = known.chain[0]
         else:
             spacing = self.spacing if shape == self.shape else np.broadcast_to(self.spacing, 3)[:2].tolist()
-            plain = replace(rest, space=None, straighten=None)  # that of a picture is how it is seen
+            plain = replace(rest, space=None, straighten=None)  # the viewport straightens a picture
             if self.hold and timed:
                 plain = with_ends(plain, self.hold, self.shape, Domain(shape, spacing, rest.border).spacing[2])
             empty = Deformation.from_recipe(plain, shape, spacing=spacing, time=timed)
@@ -673,7 +673,7 @@ class Document:
             try:
                 whole, now = made.before(k)
                 applied = now.add(reduced(stroke, amount, whole, now), warn=False)
-                if not animated(state.strokes[i], "place"):  # others may leave the picture
+                if not animated(state.strokes[i], "place"):  # animated ones may leave the picture
                     last_outside(applied)
                 tracks = (*made.tracks, Track.of(stroke, applied))
                 made = Solved(state, amount, visible, (*made.chain, applied), (*made.wholes, whole), tracks)

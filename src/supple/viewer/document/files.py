@@ -90,7 +90,7 @@ class Autosave:
         return self.document.state.content, self.document.dirty
 
     def clear(self, *, keep: bool = False) -> None:
-        """End, and delete the file; or leave it to the next window."""
+        """End autosaving, and delete the file or, with ``keep``, leave it to the next window."""
         self._ended = True
         if not keep:
             self._remove()
@@ -189,7 +189,7 @@ def _described(source: PathLike) -> dict[str, object]:
     return made
 
 
-FAILED = 0.5  # seconds, in which nobody answers a dialog: one that ends so early cannot be shown
+FAILED = 0.5  # seconds: nobody answers a dialog so fast, so one that ends earlier could not be shown
 
 
 @dataclass(slots=True)
@@ -204,7 +204,7 @@ class Question:
     opens: PathLike = ""  # a file name that cannot
     problem: str = ""
     fresh: bool = True  # not drawn yet
-    agreed: str | None = None  # a file name that may be replaced, as a dialog of the system has asked that
+    agreed: str | None = None  # a file name that may be replaced, since a dialog of the system has asked
 
     @property
     def offered(self) -> tuple[str, ...]:
@@ -221,7 +221,7 @@ class Dialog(Protocol):
         """Return the file, "" for none, or None while the dialog is open."""
 
     def close(self) -> None:
-        """Close it."""
+        """Close the dialog."""
 
 
 @dataclass(eq=False)
@@ -238,7 +238,7 @@ class FileCommands:
         self.message = ""  # the text of the status line
         self.asked: Question | None = None
         self.choose: Callable[[Question], Dialog] | None = None  # opens a dialog of the system, where there is one
-        self.choosing: tuple[Question, Dialog, float] | None = None  # that is open, and since when
+        self.choosing: tuple[Question, Dialog, float] | None = None  # the open dialog of a question, and since when
         self.windows = True  # whether another window can be opened
         self.beside: list[subprocess.Popen[bytes]] = []  # other windows that were opened here
         self.export: Task | None = None
@@ -277,16 +277,16 @@ class FileCommands:
         if path is None:
             return
         self.choosing = None
-        if path and self.asked is question:  # where there is more to say than a name
+        if path and self.asked is question:  # the question asks for more than a name
             question.path = question.agreed = path
         elif path:
             self.asked, question.path = question, path
-            self.answer("Replace" if "Replace" in question.choices else question.choices[0])  # it has asked that
+            self.answer("Replace" if "Replace" in question.choices else question.choices[0])  # the dialog has asked
         elif time.monotonic() - begun < FAILED:
             self.asked, self.choose = question, None
 
     def follow(self, i: int) -> None:
-        """Start to track what a stroke's point shows in this frame, in the background; its keys follow that."""
+        """Start to track the feature at a stroke's point in this frame, in the background; the keys will follow it."""
         if self.source is None or self.following is not None:
             raise SuppleError("a point is tracked already: cancel that, or wait for it")
         stroke, frame = self.document.strokes[i], self.document.frame
@@ -325,7 +325,7 @@ class FileCommands:
             self.choosing = self.asked, self.choose(self.asked), time.monotonic()
 
     def ask(self, name: str) -> None:
-        """Start a command: ``"save as"``, ``"close"``, or one of those that a file is asked for."""
+        """Start a command: ``"save as"``, or one of `_ASKED`."""
         source = Path(os.path.abspath(self.source or "picture.png"))
         suffix = "" if os.path.isdir(source) else suffix_of(source)
         stem = os.fspath(source)[: len(os.fspath(source)) - len(suffix)]
@@ -439,7 +439,7 @@ class FileCommands:
         self.message = f"saved to {shown(path)}"
 
     def _spare(self, path: PathLike) -> None:
-        """Raise SuppleError for the source as a target."""
+        """Raise SuppleError if a target is the source."""
         if self.source is not None and same_file(path, self.source):
             raise SuppleError(f"{shown(path)} is what is bent here: choose another name")
 
@@ -473,10 +473,10 @@ class FileCommands:
         self.message = f"opened {shown(path)}" + (f", scaled to {spoken(size)}" if scaled else "")
 
     def open_beside(self, path: PathLike) -> None:
-        """Open another medium in a window of its own; SuppleError if it is none."""
+        """Open another medium in a window of its own; SuppleError if it cannot be read, or no window be opened."""
         if not os.path.exists(path):
             raise SuppleError(f"cannot read {shown(path)}: there is no such file")
-        _ = opened(path).grid  # of a clip, which is not opened here, None
+        _ = opened(path).grid  # raises SuppleError if it cannot be read; a clip is not opened here
         if not self.windows:
             raise SuppleError(f"{shown(path)} needs a window of its own: supple view opens one, on a screen or --serve")
         words = [sys.executable, "-m", "supple", "view", os.fspath(path)]

@@ -1,4 +1,4 @@
-"""Edits of the keys of strokes: what is animated has keys, and an edit in a frame sets one there."""
+"""Edits of the keys of strokes: editing an animated property in a frame sets a key there."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from supple.strokes.keys import Key, position, value
 Place = tuple[float, ...]
 
 Part = Literal["place", "strength"]
-"""Properties that are animated: where a stroke is, how it is turned and how large it is; or how strong it is."""
+"""Animated properties of a stroke: its position, angle and scale; or its strength."""
 PARTS: Mapping[Part, tuple[str, ...]] = {"place": ("at", "angle", "scale"), "strength": ("strength",)}
 """For each part, the numbers of a key."""
 
 
 def of_key(key: Key, part: Part) -> dict[str, Any]:
-    """Return what a key has of a part."""
+    """Return the values that a key has for a part, by their names."""
     return {name: getattr(key, name) for name in PARTS[part] if getattr(key, name) is not None}
 
 
@@ -30,8 +30,8 @@ def animated(stroke: Stroke, part: Part) -> bool:
 
 
 def with_key(stroke: Stroke, frame: int, **values: Any) -> Stroke:
-    """Return a stroke with a key in a frame; of one that is there, what is not given stays."""
-    if "strength" in values and stroke.strength != 1:  # the product of both is what is edited
+    """Return a stroke with a key in a frame; other values of an existing key stay."""
+    if "strength" in values and stroke.strength != 1:  # the edited value is the product of both strengths
         keys = (k if k.strength is None else replace(k, strength=k.strength * stroke.strength) for k in stroke.keys)
         stroke = replace(stroke, keys=tuple(keys), strength=1.0)
     known = {key.frame: key for key in stroke.keys}
@@ -40,7 +40,7 @@ def with_key(stroke: Stroke, frame: int, **values: Any) -> Stroke:
 
 
 def with_key_here(stroke: Stroke, part: Part, frame: int) -> Stroke:
-    """Return a stroke with a key for a part of what it is in a frame."""
+    """Return a stroke with a key in a frame that holds the present values of a part."""
     now = stroke.at_frame(frame)
     known: dict[str, Any] = {"at": now.at} if part == "place" else {"strength": now.strength}
     for name, default in (("angle", 0.0), ("scale", 1.0)) if part == "place" else ():
@@ -50,7 +50,7 @@ def with_key_here(stroke: Stroke, part: Part, frame: int) -> Stroke:
 
 
 def without(stroke: Stroke, part: Part, frames: Iterable[int], frame: int) -> Stroke:
-    """Return a stroke without a part of its keys in some frames; one that has none left stays as it is in a frame."""
+    """Return a stroke without the keys of a part in ``frames``; if none is left, the part is as in ``frame``."""
     gone, kept, now = set(frames), [], stroke.at_frame(frame)
     for key in stroke.keys:
         left = {} if key.frame in gone else of_key(key, part)
@@ -64,14 +64,14 @@ def without(stroke: Stroke, part: Part, frames: Iterable[int], frame: int) -> St
             if part == "strength"
             else replace(now, keys=made.keys, strength=stroke.strength)
         )
-    if (before := position(stroke.keys, frame)) and not position(kept, frame):  # turned only
+    if (before := position(stroke.keys, frame)) and not position(kept, frame):  # the keys left turn or scale only
         gone_by = [b - a for a, b in zip(stroke.at, before, strict=True)]
         made = made.mapped(lambda p: tuple(a + d for a, d in zip(p, gone_by, strict=True)), lambda v: v)
     return made
 
 
 def moved_key(stroke: Stroke, part: Part, frame: int, to: int) -> Stroke:
-    """Return a stroke with a part of a key moved to another frame, over what is there."""
+    """Return a stroke with a part of a key moved to another frame, where it replaces existing values."""
     values = of_key(next(key for key in stroke.keys if key.frame == frame), part)
     if part == "strength":
         values = {part: stroke.at_frame(frame).strength}
@@ -79,10 +79,10 @@ def moved_key(stroke: Stroke, part: Part, frame: int, to: int) -> Stroke:
 
 
 def edited(stroke: Stroke, now: Stroke, then: Stroke, frame: int, *, whole: bool = False) -> Stroke:
-    """Return a stroke after an edit of what it is in a frame: ``now`` before the edit, and ``then`` after it.
+    """Return a stroke edited in a frame, where it is ``now`` before the edit and ``then`` after it.
 
-    What is animated gets a key in that frame; all else is the same in all frames. With ``whole``, all positions move.
-    What was not edited keeps every bit.
+    Edited properties get a key in that frame if they are animated; others change in all frames. With ``whole``, the
+    positions of all keys move. Values that were not edited keep every bit.
     """
     names = [field.name for field in fields(stroke)]
     alike = {name: getattr(stroke, name) for name in names if getattr(then, name) == getattr(now, name)}

@@ -1,4 +1,4 @@
-"""Landmarks of a volume, where strokes move them, and where a fixed volume has the same points."""
+"""Landmarks of a volume, their positions after strokes, and the same points in a fixed volume."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ _NOWHERE = (np.nan,) * 3
 
 
 class Landmarks:
-    """Named points of a volume before strokes, and of a fixed one: float64 voxels (N, 3), x first; NaN without one.
+    """Named points of a volume before strokes, and of a fixed one: float64 voxels (N, 3), x first; NaN if missing.
 
-    Where a point has both, it is a pair, whose residual is the distance from where strokes move it to the fixed one.
-    They do not change: an edit makes others. ``open`` is the one of which a point is still to be clicked.
+    A landmark with both points is a pair; its residual is the distance from the first, moved by strokes, to the fixed
+    one. They are immutable: edits return others. ``open`` is the index of a landmark whose second point is not set yet.
     """
 
     def __init__(
@@ -45,11 +45,11 @@ class Landmarks:
 
     @property
     def pairs(self) -> list[int]:
-        """The indices of those with both points."""
+        """The indices of the landmarks with both points."""
         return np.flatnonzero(np.isfinite(self.points).all(1) & np.isfinite(self.fixed).all(1)).tolist()
 
     def moved(self, deformation: Deformation) -> Floats:
-        """Return where the points are after strokes, (N, 3); the last answer is cached."""
+        """Return the positions of the points after strokes, (N, 3); the last result is cached."""
         if deformation.is_identity:
             return self.points
         if self._moved is None or self._moved[0] is not deformation:
@@ -64,9 +64,10 @@ class Landmarks:
         return np.asarray(np.linalg.norm(away, axis=1))
 
     def clicked(self, point: tuple[float, ...], deformation: Deformation, fixed: bool | None) -> Self:
-        """Return landmarks with a point of the pair that is open, or of a new one, as it is seen.
+        """Return landmarks with a clicked point of the open pair or, if there is none, of a new one.
 
-        With ``fixed`` None, both volumes are seen in one picture: the first point is that of the bent one.
+        ``point`` is in voxels of the deformed volume, or of the fixed one if ``fixed``. With None, one picture shows
+        both volumes: the first point of a pair is that of the deformed one.
         """
         i, names, both = self.open, self.names, [self.points.copy(), self.fixed.copy()]
         if i is None:
@@ -79,15 +80,15 @@ class Landmarks:
         return type(self)(names, *both, open=None if np.isfinite([each[i] for each in both]).all() else i)
 
     def without(self, i: int) -> Self:
-        """Return landmarks without one."""
+        """Return the landmarks without number ``i``."""
         return type(self)(
             self.names[:i] + self.names[i + 1 :], *(np.delete(v, i, 0) for v in (self.points, self.fixed))
         )
 
     def pull(self, deformation: Deformation, brush: Stroke) -> Stroke:
-        """Return the stroke that brings the points of all pairs from where they are seen to the fixed ones.
+        """Return the stroke that brings the points of all pairs from their present positions to the fixed ones.
 
-        Those that are there already are pins; all else, as the radius, is that of ``brush``.
+        Points that are there already become pins. The radius, reach and Poisson ratio are those of ``brush``.
         """
         pairs = self.pairs
         if not pairs:

@@ -1,4 +1,4 @@
-"""Settings that windows keep for the next ones: a file in the user's folder for settings."""
+"""Settings that outlive a window: a file in the user's folder for settings."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ RED: Colour = (0.91, 0.19, 0.19, 0.45)
 class Settings:
     """The settings with which a window begins."""
 
-    sections: dict[str, bool] = field(default_factory=dict)  # whether those that were folded or opened are open
+    sections: dict[str, bool] = field(default_factory=dict)  # whether a section is open, if it was folded or opened
     recent: tuple[str, ...] = ()  # the files that were opened last, the newest first
-    veil: Colour = RED  # of what is frozen: red, green, blue and opacity
-    hinted: bool = False  # whether a stroke was made, so that the first hints are known
+    veil: Colour = RED  # the colour over frozen parts: red, green, blue and opacity
+    hinted: bool = False  # whether a stroke was ever made: then the first hints are not shown any more
 
 
 def settings() -> Settings:
-    """Return what was kept; of a file that is missing or broken, what the first window has."""
+    """Return the saved settings, or the defaults if their file is missing or broken."""
     with contextlib.suppress(OSError, ValueError, TypeError, AttributeError, RecursionError, ImportError):
         known = json.loads(_place().read_text(encoding="utf-8"))
         sections = {name: bool(on) for name, on in known.get("sections", {}).items()}
@@ -40,7 +40,7 @@ def settings() -> Settings:
 
 
 def keep(**changes: Any) -> Settings:
-    """Keep some settings, and return all; those of other windows stay. A folder that cannot be written is ignored."""
+    """Save some settings, and return all. Other settings stay as saved. Failure to write the file is ignored."""
     made = replace(settings(), **changes)
     with contextlib.suppress(OSError, SuppleError, ImportError):
         place = _place()

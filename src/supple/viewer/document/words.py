@@ -33,7 +33,7 @@ def place(values: Iterable[float], digits: int = 0) -> str:
 
 
 def named(stroke: Stroke) -> str:
-    """Return what made a stroke."""
+    """Return the name of the tool that made a stroke."""
     if stroke.factor is not None and stroke.brush == "scale":
         return "Pucker" if stroke.factor < 1 else "Bloat"
     if stroke.brush == "freeze" and stroke.matte is not None and stroke.matte.is_free:
@@ -44,7 +44,7 @@ def named(stroke: Stroke) -> str:
 
 
 def listed(stroke: Stroke, unit: str = "", before: Freeze | None = None) -> str:
-    """Return a stroke in a line of a list, its points in a unit; of a freeze, what it changes of the one before."""
+    """Return a stroke as a line of a list, with the unit of its points; a freeze as a change of the mask ``before``."""
     if stroke.brush == "freeze":
         return _held(stroke, before)
     if stroke.is_whole and stroke.name not in PAINTINGS:
@@ -58,7 +58,7 @@ def listed(stroke: Stroke, unit: str = "", before: Freeze | None = None) -> str:
 
 
 def brush_radius(stroke: Stroke) -> float:
-    """Return the radius of the brush that made a stroke: the points of a restoring one lie half of that apart."""
+    """Return the radius of the brush that made a stroke: twice the stroke's own for a restoring or smoothing one."""
     return stroke.radius * (2 if stroke.name in ("restore", "smooth") else 1)
 
 
@@ -75,14 +75,14 @@ def done(stroke: Stroke, digits: int = 0) -> str:
 
 
 def _held(stroke: Stroke, before: Freeze | None = None) -> str:
-    """Return what a freeze does, beside the mask before it."""
+    """Return a description of a freeze, as a change of the mask ``before``."""
     if stroke.matte is None or stroke.matte.is_free:
         return named(stroke)
     return f"{freezing(before, stroke.matte)}: {frozen(stroke.matte)}"
 
 
 def others(stroke: Stroke) -> str:
-    """Return how many other points a stroke has."""
+    """Return the number of other points and of pins of a stroke, in words."""
     pins = sum(not any(by) for _, by in stroke.also)
     more = len(stroke.also) - pins
     return " and ".join(_counted(n, what) for n, what in ((more, "other point"), (pins, "pin")) if n)
@@ -100,14 +100,14 @@ def described(
 ) -> str:
     """Return a description of a stroke, and of its point's position, in a few lines.
 
-    Points are in a unit, if that is said, and ``where`` returns those of an arrival in it.
+    ``unit`` is that of the stroke's points, and ``where`` converts a point of an arrival to it.
     """
     if stroke.brush == "freeze":
         return f"{_held(stroke)}\nlater strokes move nothing there, earlier ones keep their effect"
     said = f"{named(stroke)} at {place(stroke.at, 1)}{unit}\n{done(stroke, 1)}\nradius {brush_radius(stroke):.4g}"
     if stroke.poisson is not None:
         said += f", bulge sideways {stroke.poisson:.3g}"
-    if stroke.brush == "grab":  # the others fade in one way
+    if stroke.brush == "grab":  # other brushes have a single fall-off
         said += f"\nfall-off: {FALLOFFS[stroke.scales - 1]}"
     said += "\nreach: no limit" if stroke.reach is None else f"\nreach: {stroke.reach:.3g} radii"
     if arrival is None:
@@ -121,7 +121,7 @@ def described(
 
 
 def _control(name: str, value: object) -> str:
-    """Return an argument as the window has it: by the control that sets it."""
+    """Return the window's name for an argument: that of the control that sets it."""
     if name == "on_fold" and value in FOLDS:
         return f"\u201c{FOLDS[value].capitalize()}\u201d, below Folds and border,"
     if name == "force":
@@ -135,7 +135,7 @@ WINDOW = Spelling(_control, "none", stroke=lambda stroke: f"{named(stroke)} at {
 
 
 def frozen(freeze: Freeze) -> str:
-    """Return how much of a medium a mask freezes; one of two axes does so in all frames of a clip."""
+    """Return how much of a medium a mask freezes, in words."""
     percent = 100 * freeze.share
     return f"{'Less than 1' if percent < 1 else f'{percent:.0f}'} % is frozen"
 

@@ -1,4 +1,4 @@
-"""Actions, by their names, and what offers them: the menu, and the strip of tools beside the picture."""
+"""Actions by their names, the menu, and the strip of tools beside the picture."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ from supple.viewer.tools.keys import BRUSHES
 
 @dataclass(frozen=True, slots=True)
 class Action:
-    """Something that a press on a button, or an item of the menu, does."""
+    """The action of a button or a menu item."""
 
     text: str
-    keys: str  # that do the same; as `supple.viewer.tools.keys.KEYS` writes them
+    keys: str  # the keys that do the same, as `supple.viewer.tools.keys.KEYS` writes them
     do: Callable[[View], object]
     able: Callable[[View], bool] = lambda view: True
-    on: Callable[[View], bool] | None = None  # whether it is on, of a switch
-    more: Callable[[View], str] | None = None  # what it would be done to
+    on: Callable[[View], bool] | None = None  # for a switch, whether it is on
+    more: Callable[[View], str] | None = None  # what it would be applied to, in words
 
     def says(self, view: View) -> str:
-        """Return the text, and what it would be done to."""
+        """Return the text, and what it would be applied to."""
         more = "" if self.more is None else self.more(view)
         return f"{self.text}: {more}" if more else self.text
 
@@ -51,7 +51,7 @@ def show_original(view: View, on: bool) -> None:
 
 
 def _edits(edit: Callable[[View], object]) -> Callable[[View], None]:
-    """Return an action that shows the error of an edit."""
+    """Return an action that makes an edit, and shows its error."""
     return lambda view: view.attempt(partial(edit, view))
 
 
@@ -133,7 +133,7 @@ MENUS = {
     "View": ("fit", "actual", "", "original", "split", "handles"),
     "Help": ("keys",),
 }
-"""The actions of each menu; a line where there is none."""
+"""The actions of each menu; an empty name is a separator."""
 
 
 def menu(view: View) -> None:
@@ -173,11 +173,11 @@ def _item(view: View, name: str) -> None:
 
 GROUPS = (("symmetry",), ("undo", "redo"), ("original", "split", "fit"), ("open", "save", "export"), ("keys",))
 """The actions below the brushes."""
-_GAP = 13.0  # between groups
+_GAP = 13.0  # logical pixels between groups
 
 
 def strip(view: View) -> None:
-    """Draw the strip."""
+    """Draw the strip of tools."""
     width, height = view.logical
     flags = imgui.WindowFlags_.no_decoration | imgui.WindowFlags_.no_move
     imgui.set_next_window_pos((width - WIDE, TOP))
@@ -207,7 +207,7 @@ def strip(view: View) -> None:
 def _tool(view: View, name: str, size: float) -> None:
     action = ACTIONS[name]
     pressed = icon_button(name, ICONS[name], size, action.on is not None and action.on(view), action.able(view))
-    if name == "original":  # as its key: while it is held
+    if name == "original":  # acts while it is held, as its key does
         if imgui.is_item_activated() or imgui.is_item_deactivated():
             show_original(view, imgui.is_item_activated())
         hint(f"Hold to see the original ({action.keys})")

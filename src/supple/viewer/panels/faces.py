@@ -1,4 +1,4 @@
-"""Faces of a picture: a section of the panel, whose sliders are one stroke of each face."""
+"""Faces of a picture: a section of the panel, whose sliders edit one stroke for each face."""
 
 from __future__ import annotations
 
@@ -76,6 +76,6 @@ def _sliders(view: View, faces: tuple[Face, ...]) -> None:
 
 
 def _seen(face: Face, before: Deformation) -> Face:
-    """Return landmarks of the picture after the strokes that are there."""
+    """Return the landmarks of a face, moved by the strokes before."""
     points = before.forward(np.array([*face.values()]))
     return {name: (float(x), float(y)) for name, (x, y) in zip(face, points, strict=True)}

@@ -19,7 +19,7 @@ from supple.viewer.tools.brushes import VideoTools
 from supple.viewer.tools.drawing import CLICK, Pair
 
 Mark = tuple[int, Part]
-"""The parts of a key that are drawn: its frame, and its position or its strength."""
+"""A drawn mark of a key: its frame, and whether it is for the position or the strength."""
 _ROW = 16.0  # logical pixels of the lane's row of positions, above the curves
 _NEAR = 7.0  # the largest distance of the pointer from a mark
 _MOST = 400  # samples of a curve
@@ -38,7 +38,7 @@ _LANE = (
 
 @lru_cache(maxsize=1)
 def _curves(stroke: Stroke) -> dict[str, list[Pair]]:
-    """Return pairs of a frame and a value, by what is animated."""
+    """Return the curves of the animated values, by their names: pairs of a frame and a value."""
     step = max(1, (stroke.keys[-1].frame - stroke.keys[0].frame) // _MOST)
     frames = sorted({*range(stroke.keys[0].frame, stroke.keys[-1].frame, step), *(k.frame for k in stroke.keys)})
     made: dict[str, list[Pair]] = {}
@@ -114,7 +114,7 @@ def lane(view: View, tools: VideoTools, size: Pair) -> None:
         last = -math.inf
         for key in stroke.keys:
             x = placed(key.frame, 0)[0]
-            if x - last >= 1.0 and of_key(key, "place"):  # others would lie on each other
+            if x - last >= 1.0 and of_key(key, "place"):  # keys closer than a pixel would overlap
                 marks[key.frame, "place"], last = (x, low.y + 0.5 * _ROW), x
             if key.strength is not None:
                 marks[key.frame, "strength"] = placed(key.frame, stroke.strength * key.strength)
@@ -172,7 +172,7 @@ def _drag(view: View, tools: VideoTools, found: Mark | None, frame: float, per_f
 
 
 def fields(view: View, i: int, stroke: Stroke) -> None:
-    """Draw what is animated of the selected stroke, and where its keys are."""
+    """Draw the fields of the selected stroke's animation: the animated parts, and the keys."""
     document, tools = view.document, view.tools
     assert isinstance(tools, VideoTools)
     frame, frames = document.frame, [key.frame for key in stroke.keys]
@@ -207,7 +207,7 @@ def fields(view: View, i: int, stroke: Stroke) -> None:
 
 
 def _following(view: View, i: int) -> None:
-    """Draw the button that tracks the stroke's point, or how far that is."""
+    """Draw the button that tracks the stroke's point, or the progress of tracking."""
     commands = view.commands
     if commands.following is None:
         label("Follow", _FOLLOW)

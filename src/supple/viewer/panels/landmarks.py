@@ -1,4 +1,4 @@
-"""Landmarks over the views of a volume: where they are, how deep, and how far from those of a fixed one."""
+"""Landmarks drawn over the views of a volume, with their depths, and lines to those of a fixed volume."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ Write = Callable[..., None]
 Box = tuple[float, float, float, float]
 BENT, OTHER = 0xFFF0D060, 0xFF70E070
 """The colours of landmarks of the bent volume, and of the fixed one."""
-_NEARBY = 5.0  # millimetres from a plane in which one is seen, faint
-_BURIED = 2.0  # and behind the surface of a rendering, from which on it is said
+_NEARBY = 5.0  # millimetres from a plane within which a landmark is drawn, faint
+_BURIED = 2.0  # millimetres behind the surface of a rendering from which on the depth is written
 _BESIDE = 8.0  # logical pixels from a landmark to its name
-_ROWS = 12  # in which a name is looked for room, above and below
+_ROWS = 12  # the most rows by which a name is moved up or down, to find a free place
 
 
 def draw(
@@ -32,9 +32,9 @@ def draw(
     pane: Pane | None = None,
     k: int = 0,
 ) -> None:
-    """Draw the landmarks of a view by its number: of a plane those in it, and faint ones that are near.
+    """Draw the landmarks of view ``k``: in a plane, those in it and, faint, those nearby.
 
-    Lines lead from where strokes took them and, where a fixed volume is in the same picture, on to its points.
+    Lines lead to them from their positions before strokes and, if the picture shows a fixed volume, from its points.
     """
     marks, tools, document = view.document.marks, view.tools, view.document
     if marks is None or not isinstance(tools, VolumeTools):
@@ -77,7 +77,7 @@ def draw(
 
 
 def _away(point: list[float], pane: Pane | None) -> float | None:
-    """Return how far a point lies from a plane, in voxels; None where it is too far to be seen."""
+    """Return the distance of a point from a plane, in slices; None if it is too far to be drawn."""
     if pane is None:
         return 0.0
     away = abs(pane.away(tuple(point)))
@@ -85,9 +85,9 @@ def _away(point: list[float], pane: Pane | None) -> float | None:
 
 
 def _depth(tools: VolumeTools, at: Pair, point: tuple[float, ...]) -> float:
-    """Return how far a point lies behind the surface that is rendered there, in millimetres; 0 in front of it.
+    """Return the depth of a point behind the rendered surface, in millimetres; 0 in front of it.
 
-    NaN while a button is down, as rays take too long then.
+    It is NaN while a button is down, when casting rays would take too long.
     """
     if tools.busy:
         return math.nan
@@ -108,9 +108,9 @@ def _corners(at: Pair) -> list[Any]:
 
 
 def _room(taken: list[Box], at: Pair, wide: float, high: float, place: Place) -> tuple[float, float, bool]:
-    """Return the upper left corner of a name in a view where no other lies, and whether it is in another row.
+    """Return a free place for a name, its upper left corner, and whether it is in another row than its landmark.
 
-    That is beside its landmark, or the nearest row above or below.
+    It is beside the landmark, or in the nearest free row above or below.
     """
     left, top, width, height = place
     for row in sorted(range(-_ROWS, _ROWS + 1), key=abs):

@@ -1,4 +1,4 @@
-"""Layers on the planes of a volume: it, a fixed one that it is compared with, and a segmentation of it."""
+"""Layers on the planes of a volume: the volume, a fixed one to compare it with, and a segmentation."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ class Segmentation:
 
     @property
     def look(self) -> tuple[object, ...]:
-        """All that a picture depends on beside the labels."""
+        """Everything that a picture depends on, except the labels."""
         return self.opacity, frozenset(self.hidden)
 
     def tinted(self, pixels: Pixels, values: Array) -> Pixels:
@@ -70,7 +70,7 @@ class Segmentation:
 
 
 class Layer:
-    """A volume that is sampled on planes of a grid, bent or not; the last planes are kept."""
+    """A volume that is sampled on planes of a grid, bent or not; the last planes are cached."""
 
     def __init__(self, volume: Volume, registration: Registration | None = None, *, labels: bool = False) -> None:
         self._samples = volume.samples[0] if volume.series else volume.samples
@@ -81,13 +81,13 @@ class Layer:
 
     @cached_property
     def _fill(self) -> Any:
-        """The stored value of what lies outside."""
+        """The stored value outside the volume."""
         return self._volume.stored(background_of(self._volume, labels=self._labels))
 
     def sampled(self, deformation: Deformation | None, axis: int, index: int, grid: Grid | None = None) -> Array:
-        """Return a plane of the volume, bent or not, by its two axes, the slower one first; the last ones are kept.
+        """Return slice ``index`` across an axis (x is 0), bent or not: (rows, columns), the slower axis first.
 
-        It is one of a grid in space, if there is one, or else of that of the window.
+        It is a slice of ``grid``, or by default of the window's grid. The last slices of each axis are cached.
         """
         if deformation is not None and deformation.is_identity:
             deformation = None
@@ -133,7 +133,7 @@ def range_of(samples: Array) -> tuple[Any, Any]:
 
 
 def segmentation_of(volume: Volume, table: LabelColours | None) -> Segmentation:
-    """Return the labels of a volume with the names and colours of a colour table, or else of its header."""
+    """Return a volume of labels with the names and colours of a table or, without one, of its header."""
     if volume.components > 1:
         raise SuppleError(f"{volume.name} has {volume.components} components, and labels are of one: give one of them")
     samples = volume.samples[0] if volume.series else volume.samples

@@ -34,8 +34,8 @@ from supple.viewer.tools.volumes import VolumeTools
 _LETTERS = 0xF0FFFFFF  # ABGR
 _PLANES = (0xFF6478F0, 0xFF78C86C, 0xFF50C8E8)  # red, green and yellow, as elsewhere for these three
 _INSET = 8.0  # logical pixels from a view's edge to its text
-_GAP = 3.0  # and about a letter, where no line is
-_NAMED = 30.0  # and to the names of before and after, below that of the plane
+_GAP = 3.0  # logical pixels around a letter that lines leave free
+_NAMED = 30.0  # logical pixels from a view's upper edge to the names of before and after, below the plane's name
 _BAR = (0.28, 30.0)  # the largest part of a view's width, and the least logical pixels, of a scale bar
 _DASH = 14.0  # logical pixels from one dash to the next
 _ROOMY = 240.0  # logical pixels: a narrower view has no room for all of its text
@@ -45,11 +45,11 @@ _BEGIN = (
 )
 _PAPER = 0xC8181818
 _GRID = 0x98FFFFFF
-_CLOSE, _PARTS = 14.0, 4  # the least logical pixels between lines of the grid, and the parts of a line between others
+_CLOSE, _PARTS = 14.0, 4  # the least logical pixels between lines of the grid, and the segments of a line between two
 
 
 def _views(view: View, tools: VolumeTools, lines: imgui.ImDrawList) -> None:
-    """Draw what lies over all views; their planes are sampled first."""
+    """Draw the overlays of all views; their planes are sampled first."""
     if view.slices is not None:
         view.slices.update(tools, not view._lately)
     for k, place in tools.places.items():
@@ -70,7 +70,7 @@ def _views(view: View, tools: VolumeTools, lines: imgui.ImDrawList) -> None:
 
 
 def rings(tools: ImageTools | VolumeTools, lines: imgui.ImDrawList) -> None:
-    """Draw how far the brush is felt: where a twentieth of a drag is left and, faint, beyond where nothing moves."""
+    """Draw the extent of the brush: where a twentieth of a drag is left and, faint, the reach, if there is one."""
     middle, radius, held = tools.pointer, tools.ring, tools.held
     if middle is None or tools.original or not radius:
         return
@@ -90,7 +90,7 @@ def ring(lines: imgui.ImDrawList, middle: Pair, radius: float, stretch: Pair, co
 
 
 def names(tools: ImageTools | VolumeTools, lines: imgui.ImDrawList, place: Place, down: float) -> None:
-    """Say which picture of a view is the original, or a step of the history, some pixels below its upper edge."""
+    """Write what a view, or each side of its split, shows: before, after or a step, ``down`` pixels below the top."""
     (left, top, width, _), named = place, []
     compared = tools.document.compared is not None
     if tools.original:
@@ -114,7 +114,7 @@ def knob(lines: imgui.ImDrawList, at: Pair, colour: int = theme.WHITE) -> None:
 
 
 def _text(lines: imgui.ImDrawList, at: Pair, said: str, colour: int = _LETTERS, align: Pair = (0.0, 0.0)) -> None:
-    """Write a line with a shadow; its position is that of a point of it, in fractions of its size."""
+    """Write a line with a shadow, such that its point ``align``, in fractions of its size, is at ``at``."""
     size = imgui.calc_text_size(said)
     x, y = round(at[0] - align[0] * size.x), round(at[1] - align[1] * size.y)
     lines.add_text((x + 1, y + 1), 0xD0000000, said)
@@ -189,7 +189,7 @@ def _letter(place: Place, side: str, across: float, down: float) -> Place:
 
 
 def _lies(tools: VolumeTools, pane: Pane) -> tuple[str, str]:
-    """Return where a plane lies on the axis of a patient that it crosses, such as S 12 mm, and by how much it leans."""
+    """Return a plane's position on the patient's axis that it crosses, such as S 12 mm, and its tilt, in words."""
     geometry = tools.geometry
     if geometry.convention == "array":
         return "", ""
@@ -215,7 +215,7 @@ def _crosshair(tools: VolumeTools, lines: imgui.ImDrawList, pane: Pane, letters:
 
 
 def _between(low: float, high: float, gaps: list[Pair]) -> Iterator[Pair]:
-    """Return the parts of an interval that are in no gap."""
+    """Yield the parts of an interval that are in no gap."""
     for a, b in sorted(gaps):
         if low < min(a, high):
             yield low, min(a, high)
@@ -225,7 +225,7 @@ def _between(low: float, high: float, gaps: list[Pair]) -> Iterator[Pair]:
 
 
 def _cut(view: View, lines: imgui.ImDrawList, pane: Pane) -> None:
-    """Draw the box that is left of the rendering where something is cut away; faint where the plane is beside it."""
+    """Draw the rendered box, if something is cut away; faint if the plane lies outside of the box."""
     assert isinstance(view.stage, VolumeStage)
     box = view.stage.scene.clip
     if box == whole_box(view.stage.shape):
@@ -243,11 +243,11 @@ def strokes(
     there: Callable[[Point], bool] = lambda point: True,
     ball: Callable[[Pair, Point, float], None] = lambda place, point, radius: None,
 ) -> None:
-    """Draw the strokes, and faint points where those of the selected one are in other frames or planes.
+    """Draw the strokes; points of the selected one in other frames or planes are faint.
 
-    ``place`` returns where a point is on the canvas, if it is seen; ``there`` whether it is in the frame or the plane
-    shown; ``ball`` draws the ball of the selected stroke's brush, from a place on the canvas, the point there, and its
-    radius.
+    ``place`` returns the position of a point on the canvas, or None if it is hidden; ``there`` whether it is in the
+    frame or plane shown; ``ball`` draws the ball of the selected stroke's brush, given a position on the canvas, the
+    point there, and the radius.
     """
     document = view.document
     for i, each in () if view.tools.bare else document.tracks():
@@ -327,7 +327,7 @@ def _bar(lines: imgui.ImDrawList, place: Place, scale: float) -> None:
 _DARKEST, _BRIGHTEST = 0.46, 0.88  # grey of faces that get no light, and all of it
 _EDGE, _INK = 0xFF202020, 0xFF101010  # ABGR
 _LARGE = 1.2  # letters of the cube, relative to others
-_SLANT = (0.12, 0.3)  # of faces between which a letter appears: on narrower ones, it would lie beside them
+_SLANT = (0.12, 0.3)  # the `Face.towards` between which a letter fades in: it would not fit on narrower faces
 
 
 def _cube(tools: VolumeTools, lines: imgui.ImDrawList) -> None:
@@ -361,7 +361,7 @@ _BARE = (
 
 
 def draw(view: View) -> None:
-    """Draw what lies over the image."""
+    """Draw the overlays of the image."""
     lines = imgui.get_background_draw_list()
     width, height = view.area
     lines.push_clip_rect((0, TOP), (width, TOP + height))
@@ -388,7 +388,7 @@ def draw(view: View) -> None:
 
 
 def _hints(view: View, lines: imgui.ImDrawList) -> None:
-    """Draw what to begin with, until there is a stroke."""
+    """Draw hints on how to begin, until there is a stroke."""
     if view.document.strokes:
         view.hinted = True
         keep(hinted=True)
@@ -402,7 +402,7 @@ def _hints(view: View, lines: imgui.ImDrawList) -> None:
 
 
 def _grid(view: View, lines: imgui.ImDrawList) -> None:
-    """Draw lines of the original as they are bent: of what is seen, on both sides of the split."""
+    """Draw lines of the original as they are bent, on both sides of the split."""
     tools, document = view.tools, view.document
     assert isinstance(tools, ImageTools)
     left, top, width, height = tools.place
@@ -439,7 +439,7 @@ def _bent_grid(deformation: Deformation, view: Viewport) -> list[list[Any]]:
 
 
 def bars(view: View) -> None:
-    """Draw the timeline and the status line, which lies over the picture where it has several lines."""
+    """Draw the timeline and the status line, which covers some of the picture if it has several lines."""
     said = status(view)
     high = LINE + imgui.calc_text_size(said, wrap_width=view.area[0] - 16).y - imgui.get_text_line_height()
     if isinstance(view.stage, VideoStage):
@@ -531,17 +531,17 @@ def _marked(playback: Playback) -> None:
 
 
 def _at_frame(frame: float, playback: Playback) -> float:
-    """Return where on the timeline, the last item, a frame is."""
+    """Return the x of a frame on the timeline, which is the last item."""
     low, high = imgui.get_item_rect_min(), imgui.get_item_rect_max()
     inset = 0.5 * imgui.get_style().grab_min_size + 2.0  # a slider's knob stays within it
     return low.x + inset + (high.x - low.x - 2 * inset) * frame / max(playback.count - 1, 1)
 
 
 def status(view: View) -> str:
-    """Return the status line: a message, or the point under the pointer; frames a second."""
+    """Return the status line: a message, or the point under the pointer and its value; and remarks on the image."""
     parts = [view.stage.trouble]
     tools, document = view.tools, view.document
-    if view.computing:  # what is under the pointer would wait for it
+    if view.computing:  # the point under the pointer would have to wait for it
         return COMPUTING
     if view.seeking:
         return f"seeking frame {view.frame:.0f} \u2026"
@@ -594,7 +594,7 @@ def _held(view: View) -> str:
 
 
 def _is_before(view: View) -> bool:
-    """Return whether the original, or what else the result is compared with, is under the pointer."""
+    """Return whether the original, or the step that the result is compared with, is under the pointer."""
     tools = view.tools
     if tools.split is None or tools.pointer is None or tools.original:
         return tools.original
@@ -618,7 +618,7 @@ def _of_a_volume(view: View, tools: VolumeTools, hover: tuple[float, ...]) -> li
 
 
 def certified(view: View) -> str:
-    """Return how far pixels, or samples of a rendering, may be read from where the map says."""
+    """Return the certified error of the pixels, or of the samples of a rendering, in words."""
     deformation, stage, tools = view.document.deformation, view.stage, view.tools
     if deformation.is_identity:
         return ""

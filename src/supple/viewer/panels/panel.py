@@ -148,7 +148,7 @@ _FILTER = "Average over several frames where strokes speed time up: motion blur 
 
 
 def _exports(view: View, asked: Question) -> None:
-    """Draw the options of an export: its format, which is the suffix of its name, and what that has."""
+    """Draw the options of an export: its format, which is the suffix of its name, and the options of the format."""
     kind, commands, path = view.stage.kind, view.commands, asked.path or ""
     if kind == "volume":
         path = _of_what(view, asked)
@@ -258,7 +258,7 @@ def _question(view: View) -> None:
         return
     wide = max(min(460.0, width - 60), 80.0)
     wrapped(asked.text, wide, theme.TEXT)
-    answer, typing = "", imgui.is_any_item_active()  # whose Enter is for the field
+    answer, typing = "", imgui.is_any_item_active()  # while typing, Enter is for the field
     if asked.path is not None:
         imgui.set_next_item_width(wide)
         if asked.fresh:
@@ -301,7 +301,7 @@ _FIXED = imgui.WindowFlags_.no_resize | imgui.WindowFlags_.no_move | imgui.Windo
 
 
 def list_keys(view: View) -> None:
-    """Draw the list, if it is asked for."""
+    """Draw the list of keys and gestures, if it is shown."""
     if not view.tools.listing:
         return
     width, height = view.area[0], view.logical[1]

@@ -32,7 +32,7 @@ _AXES = "Planes through the crosshair along the axes of the patient, or along th
 
 
 def draw(view: View) -> None:
-    """Draw the sections that there is something for."""
+    """Draw the sections that apply to the volume."""
     tools = view.tools
     if not isinstance(tools, VolumeTools) or view.slices is None:
         return

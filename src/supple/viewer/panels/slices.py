@@ -51,11 +51,11 @@ class Slices:
         self._seconds: dict[int, float] = {}  # what each view took the last time
 
     def sampled(self, deformation: Deformation | None, axis: int, index: int) -> Array:
-        """Return a plane of the volume, bent or not, by its two axes, the slower one first; the last ones are kept."""
+        """Return slice ``index`` across an axis, bent or not, as `Layer.sampled` does."""
         return self._bent.sampled(deformation, axis, index, self._grid)
 
     def value(self, deformation: Deformation | None, plane: Plane, point: tuple[float, ...], index: int) -> str:
-        """Return the value of the voxel at a point of a plane, with its unit, or the name of a label; of all layers."""
+        """Return the values of all layers at a point of a plane, in words: with the unit, or the name of a label."""
         rest = sorted((plane.across, plane.down), reverse=True)
         at = tuple(math.floor(point[k] + 0.5) for k in rest)
         said = self.told(self.sampled(deformation, plane.axis, index)[at])
@@ -77,9 +77,9 @@ class Slices:
         return f"{value:.6g} {self.unit}".rstrip()
 
     def update(self, tools: VolumeTools, resting: bool = True) -> None:
-        """Sample and shade what is to be seen of the visible planes.
+        """Sample and shade the visible planes, as far as they have changed.
 
-        In a drag, planes other than its own that take long are left until the pointer is ``resting``.
+        In a drag, slow planes other than that of the drag wait until the pointer is ``resting``.
         """
         document, self._grid = tools.document, None if tools.upright is None else tools.upright.grid
         bent = document.base if tools.original else document.deformation
@@ -100,7 +100,7 @@ class Slices:
                     self._seconds[k] = time.perf_counter() - begun
 
     def _layers(self, deformation: Deformation | None, k: int, axis: int, index: int) -> tuple[Array, ...]:
-        """Return what a view of a plane is made of: the bent volume or the fixed one, both, and labels."""
+        """Return the layers of a view of a plane: the bent volume or the fixed one, or both, and labels."""
         if k >= FIXED:
             return (self._fixed.sampled(None, axis, index, self._grid),) if self._fixed is not None else ()
         rest = (self._fixed, None), (self._over, deformation)
@@ -108,7 +108,7 @@ class Slices:
         return (self.sampled(deformation, axis, index), *others)
 
     def _upload(self, key: tuple[int, bool], tools: VolumeTools, plane: Plane, layers: tuple[Array, ...]) -> bool:
-        """Upload a plane to the device, if it is not there; return whether it was not."""
+        """Upload a plane to the device, unless it is up to date; return whether it was uploaded."""
         known, compared, over = self._textures.get(key), tools.comparison, self.segmentation
         sight = tools.sight
         look = sight.window, sight.fixed, compared and compared.look, over and over.look
@@ -199,7 +199,7 @@ def physical(place: tuple[float, ...], ratio: float, size: tuple[int, int]) -> R
 
 
 def turned(values: Array, plane: Plane) -> Array:
-    """Return the array of a plane, the slower axis first, as it is seen: rows downwards, columns to the right."""
+    """Return the array of a plane, the slower axis first, oriented as on screen: rows down, columns to the right."""
     seen = values if plane.down > plane.across else np.swapaxes(values, 0, 1)
     across, down = plane.signs
     return np.ascontiguousarray(seen[::down, ::across])

@@ -49,7 +49,7 @@ ROOM = 512 << 20  # bytes of cached frames
 
 
 class FrameCache:
-    """A clip's frames as (rows, columns, 4) of sRGB, decoded on request, as many as fit some bytes."""
+    """A clip's frames as (rows, columns, 4) of sRGB, decoded on request, as many as fit ``room`` bytes."""
 
     def __init__(self, path: PathLike, *, room: int = ROOM) -> None:
         self._path = path
@@ -78,9 +78,9 @@ class FrameCache:
         self._thread.start()
 
     def want(self, first: int, last: int, *others: Span) -> None:
-        """Request frames ``first`` to ``last``, and others; frames after the first too, while there is room.
+        """Request frames ``first`` to ``last``, and other spans. Frames after ``first`` follow while there is room.
 
-        After an error, decoding is tried again for another request.
+        After an error, another request tries to decode again.
         """
         with self._news:
             wanted = tuple((max(0, a), min(self.count - 1, b)) for a, b in ((first, last), *others))
@@ -153,7 +153,7 @@ class FrameCache:
                 self._news.notify_all()
 
     def _decode(self, clip: Any) -> None:
-        """Decode from the requested frame on, until it lies behind, or beyond the next key frame."""
+        """Decode from the next requested frame on, until a request is for one behind, or beyond the next key frame."""
         arrays = [np.empty((*g.shape, g.channels), clip.layout.dtype) for g in clip.layout.groups]
         begin = self._due()
         if begin is None:
@@ -222,7 +222,7 @@ class Levels:
         return self._made[k]
 
     def of(self, scale: float) -> int:
-        """Return the level for a window, of whose pixels each covers some of the image: it has at least as many."""
+        """Return the level for a window with pixels ``scale`` pixels of the image apart; it is at least as fine."""
         longest = max(self._made[0][0].shape)
         most = max(math.ceil(math.log2(longest / _SMALLEST)), 0)
         return min(max(math.ceil(math.log2(scale) - 1.0), 0), most)
@@ -235,7 +235,7 @@ class Warped:
         self._levels = levels
         self._laid = Laid(gpu, levels.at(0)[0].shape[1::-1])
         self._place: tuple[int, Rectangle] | None = None  # the level and the part that are held
-        self._rough: Rectangle = _NOTHING  # around what was warped during a drag, and is warped again after it
+        self._rough: Rectangle = _NOTHING  # around the parts warped during a drag, which are warped again after it
         self.shown: Deformation | None = None
 
     def bring(self, deformation: Deformation, sight: Sight) -> None:
@@ -269,7 +269,7 @@ class Warped:
         self._laid.put((x0, y0), made)
 
     def draw(self, sight: Sight, texture: Any, encoder: Any = None) -> None:
-        """Draw what was brought, or a coarser image of it, into a texture; see `Plate.draw`."""
+        """Draw the warped part, perhaps more coarsely, into a texture; see `Plate.draw`."""
         assert self.shown is not None
         space = self.shown.space  # for the overlay
         table = space.table if sight.overlay else _PLAIN
@@ -293,7 +293,7 @@ def changed(before: Space, after: Space) -> tuple[Floats, Floats]:
     rows = differing.view(after.table.dtype)[:, 0]
     pivots, reach = rows["pivot"][:, :2], rows["reach"][:, None]
     low, high = (pivots - reach).min(axis=0, initial=math.inf), (pivots + reach).max(axis=0, initial=-math.inf)
-    # A later stroke moves what it reaches, within its reach.
+    # Where the box meets the reach of a later stroke, that stroke may carry the difference to all of its reach.
     for row in after.table[len(after.table) - last :]:
         pivot, reach = row["pivot"][:2], row["reach"]
         if (low <= pivot + reach).all() and (pivot - reach <= high).all():
@@ -368,7 +368,7 @@ class ImageStage:
         """The view transform, one of `TRANSFORMS`."""
         layers = source.layers if isinstance(source, Picture) else None
         self.turn = turn_of(0.0, None if layers is None else layers.aspect)
-        """The map of displacements in the image to those that are shown."""
+        """The linear map from displacements in the image to those on screen."""
         self._lay()
         height, width = self.pixels.shape[:2]
         self.shape: tuple[int, ...] = (height, width)
@@ -376,11 +376,11 @@ class ImageStage:
         self._name(name, (width, height))
 
     def _lay(self) -> None:
-        """Make the pixels, and hold them on the device."""
+        """Compute the displayed pixels, and upload them unless the CPU warps."""
         given = self._given
         whole = given if isinstance(given, Picture) else Picture(given, alpha=True)
         self.pixels = on_screen(whole, self.transform)
-        self._by_cpu = self._gpu.software  # which itself warps faster than shaders on it
+        self._by_cpu = self._gpu.software  # on the CPU, the core warps faster than shaders
         self._warped: list[Warped] = []  # the result, and its base beside it
         if not self._by_cpu:
             self._plate = Plate(self._gpu, self.pixels.shape[1::-1])
@@ -397,11 +397,11 @@ class ImageStage:
         self._under: tuple[Deformation, Point, Point] | None = None
 
     def solves(self, sight: Sight) -> bool:
-        """Return whether drawing solves for T⁻¹, which takes a slow device long."""
+        """Return whether drawing solves T⁻¹ in shaders, whose time depends on the number of pixels."""
         return not self._by_cpu or bool(sight.overlay)
 
     def _warps(self, deformation: Deformation) -> bool:
-        """Return whether the CPU warps: always, or what shaders do not, strokes with several masks."""
+        """Return whether the CPU warps: on a software GPU, and strokes with several masks, which shaders cannot."""
         return self._by_cpu or isinstance(deformation.space.freeze, Mattes)
 
     def expect(self, deformations: tuple[Deformation, ...], sight: Sight) -> None:
@@ -463,7 +463,7 @@ class VideoStage(ImageStage):
         self._name(film.name, film.size)
         self._plate = Plate(gpu, film.size, film.count, slots)
         self._gpu, self._by_cpu = gpu, False
-        self._still: tuple[object, Warped] | None = None  # a frame that the CPU warps, and the reason to do it anew
+        self._still: tuple[object, Warped] | None = None  # a frame warped by the CPU, and the inputs for which it holds
         self._spans: dict[tuple[Deformation, float], Span] = {}
 
     def set_transform(self, name: str) -> None:
@@ -488,7 +488,7 @@ class VideoStage(ImageStage):
         self.film.want(*first, *others)
 
     def _kept(self, span: Span) -> Span:
-        """Return as many frames as fit the device."""
+        """Return the first frames of a span, as many as fit the device."""
         return span[0], min(span[1], span[0] + self._plate.slots - 1)
 
     def draw(self, deformation: Deformation, sight: Sight, texture: Any, encoder: Any = None) -> bool:
@@ -521,7 +521,7 @@ class VideoStage(ImageStage):
         return True
 
     def needed(self, deformation: Deformation, time: float) -> tuple[int, int]:
-        """Return the range of frames read for a frame, from points of a grid."""
+        """Return the first and the last source frame of an output frame, estimated from a grid of points."""
         low = high = time
         if not deformation.is_identity and deformation.ndim == 3:
             width, height = self.size
@@ -539,7 +539,7 @@ class VideoStage(ImageStage):
 
 
 NIMBLE = 0.04  # seconds that a preview of a drag may take
-_ROUGHEST, _EASY = 8, 1 << 21  # voxels from sample to sample of a preview; voxels that are warped in a moment
+_ROUGHEST, _EASY = 8, 1 << 21  # the largest step of a preview, in voxels; how many voxels are warped in a moment
 
 
 class VolumeStage:
@@ -554,20 +554,20 @@ class VolumeStage:
     def __init__(self, gpu: Gpu, volume: Volume, transfer: Transfer | str, samples: Any = None) -> None:
         self.name, self.volume = volume.name, volume
         self.preset = transfer if isinstance(transfer, str) else ""
-        # Computed tomography is recognized by its values, as its preset is.
+        # The preset of computed tomography was chosen by its values.
         labels = self.preset == LABELS or isinstance(transfer, LabelColours)
         self.unit = "HU" if self.preset.startswith("ct-") else "label" if labels else ""  # of values
         self.density: tuple[float, float] | None = None
         self.clip: Box | None = None
         self._gpu = gpu
         self._samples = volume.rescaled() if samples is None else samples
-        self.table = False  # whether what lies thin beside the body is rendered too, of which there is a part
+        self.table = False  # whether thin parts beside the body are rendered, too; ``apart`` is their fraction
         known = without_table(self._samples, volume.geometry.spacing) if self.unit == "HU" else (self._samples, 0.0)
         self._body, self.apart = known
         self._bent: dict[int, tuple[Deformation, Scene, str]] = {}  # the result (0), and its base (1); and a warning
-        self._rough: dict[int, tuple[Deformation, Scene]] = {}  # previews of the same, of voxels so far apart
+        self._rough: dict[int, tuple[Deformation, Scene]] = {}  # previews of the same; ``_apart`` is their step
         self._apart = next(k for k in (1, 2, 4, 8) if k == _ROUGHEST or self._samples.size <= _EASY * k**3)
-        self.drawn_in: float | None = None  # seconds of the CPU for the last image, but for the warp
+        self.drawn_in: float | None = None  # seconds of the CPU for the last image, without the warp
         self._pool = ThreadPoolExecutor(1, "supple-bend")
         self._ahead: tuple[Deformation, Future[tuple[Deformation, Scene, str]]] | None = None  # what the thread warps
         self.scene = self._made(transfer)
@@ -576,8 +576,8 @@ class VolumeStage:
         self.histogram = np.log1p(counts).astype(np.float32)  # logarithms of voxel counts by value
         self._plain = self.scene
         self.trouble = self.warned = ""  # a remark on the displayed image
-        self._seconds = {False: 0.0, True: math.inf}  # of the last map without a freeze mask, and with one
-        self.registration: Registration | None = None  # of which the volume is what is bent, on the window's grid
+        self._seconds = {False: 0.0, True: math.inf}  # to solve the last map without a freeze mask, and with one
+        self.registration: Registration | None = None  # if there is one, ``volume`` is on the window's grid
         self.segmentation: Segmentation | None = None
 
     def _made(self, transfer: Transfer | str) -> Scene:
@@ -628,7 +628,7 @@ class VolumeStage:
         return self._plain.gpu is None
 
     def preview(self, deformation: Deformation, beside: int = 0) -> Scene:
-        """Return the scene with strokes; until it is computed, of as many of its voxels as are warped at once."""
+        """Return the scene with strokes or, until it is computed, a preview of every few voxels."""
         if not self.previews or deformation.is_identity or self._known(deformation) is not None:
             return self.deform(deformation, beside)
         known = self._rough.get(beside)
@@ -647,13 +647,13 @@ class VolumeStage:
         return next((known for known in self._bent.values() if known[0] is deformation), None)
 
     def is_slow(self, deformation: Deformation) -> bool:
-        """Return whether drawing through strokes would take long: as the last ones did, unless these are known."""
+        """Return whether drawing through strokes would take long, judged by the last ones; not if they are cached."""
         if deformation.is_identity or self.previews or self._known(deformation) is not None:
             return False
         return self._seconds[deformation.space.freeze is not None] > SLOW
 
     def on_canvas(self, deformation: Deformation) -> Scene:
-        """Return the scene with strokes; what is still seen, while that would take long."""
+        """Return the scene with strokes, or the last one if computing it would take long."""
         return self.scene if self.is_slow(deformation) else self.preview(deformation)
 
     def look(self, transfer: Transfer | str, density: tuple[float, float] | None) -> None:
@@ -682,7 +682,7 @@ class VolumeStage:
         *,
         moving: bool = False,
     ) -> None:
-        """Render into a texture of columns and rows; by the CPU, what the device cannot."""
+        """Render into a texture of ``size`` (columns, rows); by the CPU if the scene is not on the GPU."""
         scene, (columns, rows) = (self.preview if moving else self.deform)(deformation, beside), size
         if scene.gpu is not None:
             scene.draw(texture, camera, (rows, columns), background=BACK)
@@ -706,7 +706,7 @@ class VolumeStage:
         return self.deform(deformation).fill(seconds=seconds)
 
     def close(self) -> None:
-        """End the thread, after what it does now."""
+        """End the thread, after its current work."""
         self._pool.shutdown(wait=True, cancel_futures=True)
 
     def value(self, pick: Pick) -> Any:

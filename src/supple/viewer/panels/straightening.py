@@ -1,4 +1,4 @@
-"""How a picture is straightened: its section of the panel, and the frame and the line over the picture."""
+"""The straightening of a picture: its section of the panel, and the frame and the line over the picture."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from supple.viewer.panels.view import View
 from supple.viewer.panels.widgets import REST, choice, hint, label, section, toggle, typed
 from supple.viewer.tools.brushes import ImageTools
 
-_BESIDE = 0xA0101010  # over what an export leaves out
+_BESIDE = 0xA0101010  # the shade over parts that an export leaves out
 _TURN = "Degrees clockwise. Or draw a line along the horizon with the tool Level (Y). An export is one resampling"
 _KEYSTONE = (
     "Drag four corners onto what shall be an upright rectangle (K), as a door or a page: the perspective goes away. "
@@ -61,14 +61,14 @@ def overlay(view: View, tools: ImageTools, lines: imgui.ImDrawList) -> None:
         try:
             matrix, (width, height) = known.on(size)
         except SuppleError:
-            return  # as an export says
+            return  # an export reports the error
         ends = np.array([(0, 0), (width, 0), (width, height), (0, height)]) - 0.5
         found = np.column_stack([ends, np.ones(4)]) @ matrix.matrix.T
         corners = [tools.view.to_canvas(*p) for p in (found[:, :2] / found[:, 2:]).tolist()]
         x, y = np.mean(corners, axis=0).tolist()
         far = [(x + 50 * (a - x), y + 50 * (b - y)) for a, b in corners]
         white = imgui.get_font_tex_uv_white_pixel()
-        lines.prim_reserve(24, 16)  # smooth edges would overlap, and be seen as seams
+        lines.prim_reserve(24, 16)  # not as polygons, whose smooth edges would overlap in visible seams
         for k in range(4):
             lines.prim_quad_uv(corners[k - 1], corners[k], far[k], far[k - 1], white, white, white, white, _BESIDE)
         for k in range(4):

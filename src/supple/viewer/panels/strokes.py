@@ -1,4 +1,4 @@
-"""The brush, the list of strokes, the selected one by its numbers, and what the colours of overlays mean."""
+"""Sections of the panel: the brush, the list of strokes, the selected stroke, folds; and the legend of overlays."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ NAMES = {
 COLD, HOT = (0.10, 0.25, 0.75, 1.0), (0.95, 0.35, 0.10, 1.0)
 """The ends of the colours, as in warm.wgsl."""
 _HIGH = 10.0  # of the scale, in logical pixels
-_STEPS = 40  # of one that has two ends
+_STEPS = 40  # of each half of a scale with two ends
 _SCALES: dict[str, tuple[str, tuple[str, ...]]] = {
     "stretch": ("How much larger or smaller an area is than in the original.", ("half", "same", "twice")),
     "residual": ("How far each source point misses its pixel when it is bent.", ("1/65536 px", "1/256 px", "1 px")),
@@ -101,14 +101,14 @@ _KIND = (
     "In time: a drag may go through time, and fades with it. In every frame: a stroke bends each frame like a picture, "
     "and may move and come and go, by keys. All strokes of a recipe are of one kind"
 )
-_SMALL = 120.0  # logical pixels of the picture of what bulges
+_SMALL = 120.0  # logical pixels of the picture of a bulge
 
 
 def brush(view: View) -> None:
     """Draw the section of the brush, or of the selected stroke: both have the same numbers."""
     document, tools = view.document, view.tools
     i = document.selected
-    if tools.brush != view.brush:  # what was chosen last is seen
+    if tools.brush != view.brush:  # a brush was chosen: show its numbers
         view.brush, view.own = tools.brush, False
     if not section(view, "Brush"):
         return
@@ -151,13 +151,13 @@ def _next(view: View) -> None:
 
 
 def _numbers(view: View, stroke: Stroke, simple: bool = False) -> dict[str, Any]:
-    """Draw what strokes and the brush have in common, or the radius alone; return what was changed, by its name."""
+    """Draw the numbers that strokes and brushes share, or the radius alone; return the changed ones by their names."""
     tip = "The size of the brush: also the wheel, [ and ], or a right drag"
     form, (low, high) = "%.1f mm" if view.stage.kind == "volume" else "%.1f px", view.tools.radius_limits
     made: dict[str, Any] = {}
     made["radius"] = slider("Radius", stroke.radius, low, max(high, stroke.radius), form, tip, logarithmic=True)
     grabs = stroke.brush == "grab" and not simple
-    if grabs:  # the others fade in one way
+    if grabs:  # other brushes have a single fall-off
         made["scales"] = choice("Fall-off", stroke.scales, dict(enumerate(FALLOFFS, 1)), _FALLOFF)
     if stroke.brush not in IMMATERIAL and not simple:
         material = POISSON if stroke.poisson is None else max(stroke.poisson, -1.0)
@@ -176,7 +176,7 @@ def _numbers(view: View, stroke: Stroke, simple: bool = False) -> dict[str, Any]
 
 
 def _bulging() -> None:
-    """Draw what the least and the most of it do: a grid that is pulled to the right."""
+    """Draw a grid that is pulled to the right, with the least and the largest Poisson ratio."""
     at, lines = imgui.get_cursor_screen_pos(), imgui.get_window_draw_list()
     for k, poisson in enumerate((-1.0, 0.5)):
         left = at.x + k * (_SMALL + 20)
@@ -198,7 +198,7 @@ def _pulled(poisson: float) -> list[list[list[float]]]:
 
 
 def _kind(view: View) -> None:
-    """Draw the choice of what strokes of a clip are, which all those of a recipe are."""
+    """Draw the choice of the kind of a clip's strokes, which all strokes of a recipe share."""
     document = view.document
     imgui.begin_disabled(bool(document.strokes))
     timed = choice("Strokes", document.timed, {True: "in time", False: "in every frame"}, _KIND)
@@ -223,7 +223,7 @@ def _optional(
 
 
 def strokes(view: View) -> None:
-    """Draw the section of the list."""
+    """Draw the section of the list of strokes."""
     state = view.document.state
     count = len(state.strokes)
     if not section(view, "Strokes", f"Strokes ({count})" if count else "Strokes"):
@@ -266,7 +266,7 @@ def _row(view: View, i: int, stroke: Stroke, selected: bool) -> None:
     unit = "" if document.space is None else f" mm {document.space}"
     before = last_freeze(document.strokes[:i]) or document.state.rest.freeze
     text = listed(document.as_saved(stroke), "" if document.space is None else " mm", before)
-    coloured = short or (stroke.hidden and not selected)  # what is faint is not read on the ground of what is selected
+    coloured = short or (stroke.hidden and not selected)  # faint text is hard to read in a selected row
     if coloured:
         imgui.push_style_color(imgui.Col_.text, theme.FAINT if stroke.hidden else theme.WARNING)
     imgui.push_style_var(imgui.StyleVar_.selectable_text_align, (0.0, 0.5))
@@ -361,7 +361,7 @@ def _amount(view: View) -> None:
 
 
 def _begin(view: View, i: int | None) -> None:
-    """Begin a drag of the document, of a slider."""
+    """Begin a drag of the document, for a slider."""
     if not view.document.dragging:
         if isinstance(view.tools, VideoTools):
             view.tools.playback.pause()

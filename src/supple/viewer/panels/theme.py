@@ -16,7 +16,7 @@ ACCENT: Colour = (0.25, 0.63, 1.0, 1.0)  # of handles, too
 PRIMARY: Colour = (0.12, 0.43, 0.80, 1.0)
 FULL: Colour = (0.17, 0.35, 0.58, 1.0)  # the part of a field up to its value
 TEXT: Colour = (0.90, 0.91, 0.93, 1.0)
-FAINT: Colour = (0.62, 0.65, 0.69, 1.0)  # 6 : 1 on the ground
+FAINT: Colour = (0.62, 0.65, 0.69, 1.0)  # its contrast to the ground is 6 : 1
 WARNING: Colour = (1.0, 0.72, 0.38, 1.0)
 GROUND: Colour = (0.125, 0.13, 0.14, 1.0)
 RAIL: Colour = (0.095, 0.10, 0.11, 1.0)  # behind the tools, and the line of status
@@ -25,13 +25,13 @@ RAISED: Colour = (0.245, 0.255, 0.275, 1.0)
 PRESSED: Colour = (0.30, 0.315, 0.34, 1.0)
 LINE: Colour = (0.21, 0.22, 0.235, 1.0)
 LETTERS = 15.0  # logical pixels
-# Of what lies over the picture, for draw lists: ABGR.
+# Colours of overlays on the picture, for draw lists: ABGR.
 WHITE, DARK, BLUE, RED, GREY = 0xFFFFFFFF, 0xA0000000, 0xFFFFA040, 0xFF5060FF, 0xFFC0C0C0
 SOFT, PALE, DIM, SHADE, BALL = 0x90FFFFFF, 0x68FFFFFF, 0x50FFFFFF, 0x40000000, 0x80FFA040
 
 
 def lighter(colour: Colour, by: float = 0.07) -> Colour:
-    """Return a colour under the pointer."""
+    """Return a lighter colour, as for items under the pointer."""
     r, g, b, a = colour
     return min(r + by, 1.0), min(g + by, 1.0), min(b + by, 1.0), a
 
@@ -91,7 +91,7 @@ def style() -> None:
 
 
 def outlined(lines: imgui.ImDrawList, ends: Iterable[Sequence[Pair]], colour: int, thick: float = 1.0) -> None:
-    """Draw lines with dark edges, by which they are seen on any picture."""
+    """Draw lines with dark edges, so that they are visible on any picture."""
     pairs = list(ends)
     for shade, wide in ((DARK, thick + 2.0), (colour, thick)):
         for start, end in pairs:

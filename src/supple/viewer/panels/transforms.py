@@ -1,4 +1,4 @@
-"""Colours on a screen of sRGB: through profiles and, of linear and HDR ones, through a view transform."""
+"""Colours for an sRGB screen: by profiles or, for linear and HDR colours, by a view transform."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ TRANSFORMS = {
 """The names of view transforms, and what they are called."""
 _LINEAR_FORMATS = ("OpenEXR", "Radiance", "PNM")  # where they hold floats
 _LINEAR, _PQ, _HLG, _BT2020 = 8, 16, 18, 9  # codes of ITU-T H.273: of transfers, and of primaries
-_WHITE, _PEAK = 203.0, 1000.0  # cd/m²: diffuse white (BT.2408), and the brightest that is told apart
+_WHITE, _PEAK = 203.0, 1000.0  # cd/m²: diffuse white (BT.2408), and the brightest light that is not clipped
 _LUMA = np.array([0.2627, 0.6780, 0.0593], np.float32)  # BT.2020
 _TO_SRGB = np.array([[1.6605, -0.5876, -0.0728], [-0.1246, 1.1329, -0.0083], [-0.0182, -0.1006, 1.1187]], np.float32)
 _STEPS = 65535  # of tables over square roots

@@ -35,12 +35,12 @@ from supple.viewer.tools.drawing import Pair
 from supple.viewer.tools.planes import RENDERED
 from supple.viewer.tools.volumes import VolumeTools
 
-_FIRST = 1 << 20  # the number of the first texture: those of letters have low ones
+_FIRST = 1 << 20  # the number of the first texture: font textures have low numbers
 _OUTER = 0.5  # coefficients from the outermost ones to the edges of a texture, whose texels are at coefficients
 
 
 class Veil:
-    """Textures whose opacity is 1 - m at every coefficient of the freeze mask; made anew with that."""
+    """Textures whose opacity is 1 - m at every coefficient of the freeze mask; a new mask renews them."""
 
     def __init__(self, gpu: Gpu) -> None:
         self._gpu = gpu
@@ -112,10 +112,10 @@ class Shot:
     """A request for an image."""
 
     deformation: Deformation
-    base: Deformation  # of what the result is compared with: the original, or a step of the history
-    sight: Sight  # what is drawn at full size, along the axes of the image as it is stored; unsolved during a drag
+    base: Deformation  # the one that the result is compared with: of the original, or of a step of the history
+    sight: Sight  # the part to draw, at full size, along the axes of the stored image; unsolved during a drag
     place: tuple[int, int, int, int] = (0, 0, 0, 0)  # left, top, columns and rows of its area, in physical pixels
-    part: Part = ALL  # what is drawn, as it lies on that area
+    part: Part = ALL  # the part of the drawn image that covers the area
     camera: Camera = _HOME
     original: bool = False  # show the base
     split: bool = False  # show both
@@ -133,7 +133,7 @@ class Painter:
         self.part: Part = ALL  # the visible part of the textures
         self._textures: dict[tuple[int, tuple[int, int]], Any] = {}
         self._begun = 0.0  # when the device got its work
-        self._adapts = True  # whether fewer pixels take less
+        self._adapts = True  # whether fewer pixels take less time
 
     def paint(self, shot: Shot, encoder: Any = None) -> tuple[Any, Any]:
         """Draw a shot; return the texture of the result and, if the shot is split, that of its base.
@@ -157,7 +157,7 @@ class Painter:
         return textures[0], textures[1] if shot.split else None
 
     def learn(self) -> None:
-        """Wait for the last image, and adapt the size of drawn pixels to the device's time, where it depends on it."""
+        """Wait for the last image, and adapt the size of drawn pixels to its time, if that depends on the size."""
         if not self._adapts:
             return
         seconds = self.stage.drawn_in if isinstance(self.stage, VolumeStage) else None
@@ -200,7 +200,7 @@ WIDE, STRIP = 348, 44  # logical pixels of the tools and the panel, and of the t
 TOP, BAR, LANE, LINE = 24, 44, 62, 24  # and of the menu, the timeline, the keys below it, and the status line
 SETTLED = 0.15  # seconds without a change, after which an image is drawn at full size
 COMPUTING = "computing \u2026"
-SLOW = 0.5  # seconds that a frame of a clip is waited for, after which that is said
+SLOW = 0.5  # seconds of waiting for a frame of a clip, after which the status line says so
 PATIENCE = 5.0  # seconds that saving an image waits for its frames
 
 
@@ -225,18 +225,18 @@ class View:
         )  # the last brush, and whether the selected stroke's numbers are seen
         self.listed: int | None = None  # the stroke that the list has scrolled to
         self.reached: int | None = None  # and the step of the history
-        self.faces: tuple[Face, ...] | str | None = None  # of the picture, or why there are none
-        self.face = 0  # the one whose sliders are shown
-        self.moved_face: tuple[int | None, Face] | None = None  # its stroke, and its landmarks before that
+        self.faces: tuple[Face, ...] | str | None = None  # of the picture, or why there are none; None at first
+        self.face = 0  # the index of the face whose sliders are shown
+        self.moved_face: tuple[int | None, Face] | None = None  # its stroke's index, and landmarks before the stroke
         known = settings() if self.source is None else keep_recent(self.source)
-        self.sections = known.sections  # those that were folded or opened
+        self.sections = known.sections  # whether a section is open, if it was folded or opened
         self.recent = known.recent[self.source is not None :]  # other files
         self.veil_colour, self.hinted = known.veil, known.hinted
         self.copy_text: Callable[[str], None] | None = None  # to the clipboard, if there is one
         self.typed: dict[str, float] = {}  # numbers being typed in the panel
-        self.held_key: tuple[int, KeyPart] | None = None  # the key in the pointer's hand, and what of it
+        self.held_key: tuple[int, KeyPart] | None = None  # the frame of the key that is dragged, and which part of it
         self.filled = 0.0
-        self.computing = False  # whether the image comes after this frame, as it takes long
+        self.computing = False  # whether the image is left to the next frame, since it takes long
         self.painter, self.veil = Painter(self.gpu, self.stage), Veil(self.gpu)
         self.slices: Slices | None = None
         if isinstance(self.stage, VolumeStage):
@@ -298,7 +298,7 @@ class View:
         self._changed_at, self.filled = time.perf_counter(), 0.0
         before, self._content = self._content, self.document.state.content
         if self._content != before and not self.document.dragging:
-            self.commands.message = ""  # it was about what there was before
+            self.commands.message = ""  # it was about the state before
         self.canvas.request_draw()
         if not self._callbacks or (recipe := self.document.recipe) == self._told:
             return
@@ -313,12 +313,12 @@ class View:
         tools, document, ratio = self.tools, self.document, self.canvas.get_pixel_ratio()
         document.seek(round(self.frame))
         (width, height), top = (round(n * ratio) for n in self.area), round(TOP * ratio)
-        lines = self.overlay == "grid" and not document.timed  # which are drawn over the picture
+        lines = self.overlay == "grid" and not document.timed  # the module `overlay` draws these lines
         overlay, square = "" if lines else self.overlay, 8.0 * ratio
         first, scale, size, part = (0.0, 0.0), 1.0, (width, height), ALL
         place, camera = (0, top, width, height), _HOME
         if isinstance(tools, VolumeTools):
-            hidden = (0.0, 0.0, 1.0, 1.0)  # a pixel of it is drawn
+            hidden = (0.0, 0.0, 1.0, 1.0)  # a hidden rendering is drawn at the size of a pixel
             place = physical(tools.places.get(RENDERED, hidden), ratio, (width, top + height))
             size, camera = place[2:], tools.stage.placed(tools.view)
         else:
@@ -334,7 +334,7 @@ class View:
 
     @property
     def seeking(self) -> bool:
-        """Return whether the displayed frame of a clip has been waited for for long."""
+        """Return whether the displayed frame of a clip has been awaited for longer than `SLOW`."""
         waits = isinstance(self.stage, VideoStage) and not self.painter.ready
         return waits and time.perf_counter() - self.ready_at > SLOW
 

@@ -150,7 +150,7 @@ def _opacities(stage: VolumeStage, transfer: TransferFunction, count: int = _STE
 
 
 def _curve(stage: VolumeStage, transfer: TransferFunction) -> None:
-    """Draw the curve, and the colours of its points, over the last item; what the density window hides is darker."""
+    """Draw the curve and the colours of its points over the last item; values outside the density window are darker."""
     scene, lines = stage.scene, imgui.get_window_draw_list()
     (low, high), pad = scene.range, imgui.get_style().frame_padding
     least, most = imgui.get_item_rect_min(), imgui.get_item_rect_max()

@@ -15,7 +15,7 @@ from supple.viewer.panels.view import View
 
 LABEL = 104.0  # logical pixels of the labels before fields
 _RESTING = int(imgui.HoveredFlags_.delay_short | imgui.HoveredFlags_.allow_when_disabled)
-REST = -1e-3  # the width of what takes the rest of a line
+REST = -1e-3  # the width of a widget that takes the rest of its line
 PERCENT = "%.0f %%"
 """The format of a slider whose values are fractions."""
 T = TypeVar("T")
@@ -24,9 +24,9 @@ FOLDED = ("Face", "Straighten", "Folds and border", "Accuracy", "History")
 
 
 def section(view: View, name: str, text: str = "", *, shown: bool = False) -> bool:
-    """Draw the head of a section, with another text than its name if there is one; return whether it is open.
+    """Draw the header of a section, with its name or, if given, a text; return whether it is open.
 
-    Until it was folded or opened by hand, one that is ``shown`` is open.
+    Until the user folds or opens it, it is open if it is ``shown`` or not in `FOLDED`.
     """
     opened = view.sections.get(name, shown or name not in FOLDED)
     imgui.spacing()
@@ -57,7 +57,7 @@ def wrapped(text: str, wide: float = 0.0, colour: theme.Colour = theme.FAINT) ->
 
 
 def elided(text: str, wide: float) -> str:
-    """Return a text whose middle is left out as far as it does not fit a width: ends of paths are what counts."""
+    """Return a text shortened in its middle to fit a width, since the ends of paths matter most."""
     kept = text
     for left in range(len(text) - 1, 0, -1):
         if imgui.calc_text_size(kept).x <= wide:
@@ -68,7 +68,7 @@ def elided(text: str, wide: float) -> str:
 
 
 def primary(text: str, wide: float = REST) -> bool:
-    """Draw the button of what one mostly wants; return whether it was pressed."""
+    """Draw the button of the main action; return whether it was pressed."""
     shades = (theme.PRIMARY, theme.lighter(theme.PRIMARY), theme.lighter(theme.PRIMARY, 0.14))
     names = (imgui.Col_.button, imgui.Col_.button_hovered, imgui.Col_.button_active)
     for name, shade in zip(names, shades, strict=True):
@@ -80,7 +80,7 @@ def primary(text: str, wide: float = REST) -> bool:
 
 
 def toggle(text: str, on: bool, wide: float) -> bool:
-    """Draw a button for what is on or off; return whether it was pressed."""
+    """Draw a button that shows whether it is on; return whether it was pressed."""
     if on:
         imgui.push_style_color(imgui.Col_.button, theme.PRIMARY)
     pressed = imgui.button(text, (wide, 0))
@@ -106,7 +106,7 @@ def icon_button(name: str, icon: str, size: float, on: bool = False, enabled: bo
 
 
 def progress(task: Task) -> bool:
-    """Draw how far a task is, and the button that cancels it; return whether that was pressed."""
+    """Draw the progress of a task, and the button that cancels it; return whether the button was pressed."""
     imgui.push_style_color(imgui.Col_.plot_histogram, theme.FULL)
     imgui.progress_bar(task.progress, (-80, imgui.get_frame_height()), f"{100 * task.progress:.0f} %")
     imgui.pop_style_color()
@@ -115,7 +115,7 @@ def progress(task: Task) -> bool:
 
 
 def _labelled(name: str, tip: str, picture: Callable[[], None] | None = None) -> str:
-    """Draw the label of a field whose name is no mere identifier, as ##value; return its identifier."""
+    """Draw the label of a field, unless its name is an identifier such as ##value; return the identifier."""
     if name.startswith("##"):
         return name
     label(name, tip, picture)
@@ -123,7 +123,7 @@ def _labelled(name: str, tip: str, picture: Callable[[], None] | None = None) ->
 
 
 def choice(name: str, now: T, options: Mapping[T, str], tip: str = "") -> T:
-    """Draw a list to choose from, by values and their texts; return what is chosen."""
+    """Draw a list of options, values with their texts; return the chosen value."""
     name, values = _labelled(name, tip), list(options)
     changed, index = imgui.combo(name, values.index(now) if now in options else -1, list(options.values()))
     hint(tip)
@@ -141,7 +141,7 @@ def slider(
     *,
     logarithmic: bool = False,
 ) -> float:
-    """Draw a field that is full up to its value; return the value, which is within the limits once it is changed."""
+    """Draw a slider, filled up to its value; return the value, which is within the limits once it is changed."""
     name, unit = _labelled(name, tip, picture), 100.0 if form == PERCENT else 1.0
     at, wide = imgui.get_cursor_screen_pos(), imgui.calc_item_width()
     place = math.log if logarithmic else float
@@ -162,7 +162,7 @@ def slider(
 
 
 def listing(name: str, count: int, most: int, row: float) -> None:
-    """Begin a list of rows, as high as they are or as some of them."""
+    """Begin a list of ``count`` rows, of height ``row``; at most ``most`` of them are visible at once."""
     style = imgui.get_style()
     height = row * max(min(count, most), 1) - style.item_spacing.y + 2 * style.frame_padding.y
     imgui.begin_child(name, (0, height), imgui.ChildFlags_.frame_style)
@@ -180,7 +180,7 @@ def typed(view: View, name: str, value: float, form: str, tip: str = "") -> tupl
 
 
 def hint(text: str | Callable[[], str], picture: Callable[[], None] | None = None) -> None:
-    """Show a hint on the last item, if the pointer rests on it; functions are called, and draw below it, only then."""
+    """Show a hint if the pointer rests on the last item; only then are functions called, for a text or a picture."""
     if text and imgui.is_item_hovered(_RESTING):
         imgui.begin_tooltip()
         imgui.push_text_wrap_pos(320.0)

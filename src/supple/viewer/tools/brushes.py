@@ -19,7 +19,7 @@ from supple.viewer.tools.playback import Playback
 from supple.viewer.tools.viewport import UPRIGHT, Turn, Viewport
 
 GRIP = 40.0  # logical pixels from the lower edge of a view to the knob of the line of symmetry, and from the upper one
-STEEPEST = 2.0  # of that line: pixels along the one axis for each along the other
+STEEPEST = 2.0  # the largest slope of the line of symmetry, `lean`
 ZOOM = 1.2  # the zoom factor of a notch of the wheel, which is 100
 
 _LEFT, _RIGHT, _MIDDLE = 1, 2, 3
@@ -37,8 +37,8 @@ def pans(event: Event) -> bool:
 class ImageTools(Tools[Viewport]):
     """The tools of an image: a left drag pulls the point under the pointer.
 
-    The canvas has a width and a height in logical pixels. The image is shown turned, as a `Viewport` does it; points,
-    strokes and the brush's radius are those of the stored one.
+    The canvas has a width and a height in logical pixels. The image is shown turned, as by a `Viewport`; points,
+    strokes and the brush's radius are in pixels of the stored image.
     """
 
     lacks = frozenset[Tool]()
@@ -70,7 +70,7 @@ class ImageTools(Tools[Viewport]):
 
     @property
     def brush(self) -> Tool:
-        """The tool in the hand."""
+        """The selected tool."""
         return self._brush
 
     @brush.setter
@@ -81,7 +81,7 @@ class ImageTools(Tools[Viewport]):
 
     @property
     def corners(self) -> tuple[tuple[float, ...], ...]:
-        """The corners of the keystone's frame, while it is drawn: those there are, or some within the picture."""
+        """The corners of the keystone's frame, while it is drawn: those set, or default ones within the picture."""
         known, (width, height) = self.document.state.rest.straighten, self.view.image_size
         if self.brush != "keystone" or (known is not None and known.keystone):
             return known.keystone if known is not None and self.brush == "keystone" else ()
@@ -109,7 +109,7 @@ class ImageTools(Tools[Viewport]):
         gesture.now = place
         if gesture.moved and not document.dragging:
             document.begin_drag()
-        if document.dragging:  # it goes as far as the pointer, wherever that took it
+        if document.dragging:  # the corner keeps its distance from the pointer
             corners, (k, (u, v)), (a, b), (x, y) = list(self.corners), self._corner, gesture.start, place
             corners[k] = self.view.to_image(u + x - a, v + y - b)
             try:
@@ -219,9 +219,9 @@ class ImageTools(Tools[Viewport]):
 
 
 class VideoTools(ImageTools):
-    """The tools of a clip: of strokes in time, the held point can be moved through it, by the wheel or the arrow keys.
+    """The tools of a clip. In strokes in time, the wheel or the arrow keys move the held point through time.
 
-    Of those in every frame, an edit of what is animated sets a key in the frame shown; with Shift, all keys move.
+    In strokes in every frame, editing an animated property sets a key in the frame shown; with Shift, all keys move.
     """
 
     lacks = frozenset[Tool](("level", "keystone"))
@@ -302,7 +302,7 @@ class VideoTools(ImageTools):
             self._carry(held, -amount / 100)
 
     def _flows(self, held: Held) -> bool:
-        """Return whether what is held can be dragged through time; the rest stays in its frame."""
+        """Return whether a held stroke can be dragged through time; others stay in their frame."""
         return self.document.timed and not (held.shapes or held.masks)
 
     def _key(self, key: str) -> bool:

@@ -1,4 +1,4 @@
-"""How a bent volume is compared with a fixed one, in the planes of both."""
+"""Ways to compare a bent volume with a fixed one, in the planes of both."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ SHARES = {
     "checkerboard": ("Squares", "The side of a square", 2.0, 100.0, "%.0f mm"),
     "difference": ("Contrast", "What a difference is multiplied by", 0.5, 8.0, "\u00d7 %.1f"),
 }
-"""The setting of each of them: its name, what it is, its least and its largest value, and its form."""
+"""The setting of a way to compare, if it has one: its name, its hint, its least and largest value, and its format."""
 
 
 @dataclass(slots=True)
@@ -31,7 +31,7 @@ class Comparison:
 
     window: tuple[float, float]  # the values of the fixed one that are black and white at first
     mode: str = "beside"  # one of `MODES`
-    shares: dict[str, float] = field(  # those of `SHARES`
+    shares: dict[str, float] = field(  # the values of the settings in `SHARES`
         default_factory=lambda: {"blend": 0.5, "checkerboard": 20.0, "difference": 1.0}
     )
 
@@ -42,7 +42,7 @@ class Comparison:
 
     @property
     def look(self) -> tuple[object, ...]:
-        """All that a picture of both depends on."""
+        """Everything that a picture of both depends on, except their samples and windows."""
         return self.mode, self.shares.get(self.mode)
 
     def turn(self) -> None:
@@ -51,7 +51,7 @@ class Comparison:
         self.mode = modes[(modes.index(self.mode) + 1) % len(modes)]
 
     def compared(self, bent: Pixels, fixed: Pixels, spacing: tuple[float, float]) -> Pixels:
-        """Return one picture of the planes of both, (rows, columns, 4), whose pixels are so many mm high and wide."""
+        """Return one picture of both planes, (rows, columns, 4); ``spacing`` is a pixel's height and width, in mm."""
         if self.mode == "beside":
             return bent
         share, made = self.shares.get(self.mode, 0.0), bent.copy()

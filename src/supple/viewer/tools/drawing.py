@@ -1,4 +1,4 @@
-"""Things that the pointer holds, and the strokes that a drag of it draws in a document."""
+"""Strokes held by the pointer, and the brush that draws them in a document."""
 
 from __future__ import annotations
 
@@ -38,19 +38,19 @@ SHAPES: dict[Tool, dict[str, Any]] = {
     "pucker": {"brush": "scale", "factor": 1.0},
     "pinch": {"brush": "pinch", "factor": 1.0},
 }
-"""The tools whose strokes keep their pivot, and what these are before the drag."""
+"""The tools whose strokes keep their pivot, and the arguments of these strokes before the drag."""
 
 MASKS = frozenset(("freeze", "thaw"))
 """The tools that paint the freeze mask."""
 PAINTED = 2.0  # radii that a stroke of a painting reaches
-PUSHED = 0.5  # radii by which a push moves what is on its way, at full strength
+PUSHED = 0.5  # radii by which a push at full strength moves the material on its way
 IMMATERIAL = frozenset(("twist", "bloat", "pucker", "scale"))
 """Tools and brushes that do not depend on the Poisson ratio."""
 
 
 @dataclass(frozen=True, slots=True)
 class Handle:
-    """A handle of a stroke: a point of it, or where that ends."""
+    """A handle of a stroke: one of its points, or the end of one."""
 
     item: int  # the index of its stroke
     part: Part
@@ -81,7 +81,7 @@ class Held:
     item: int | None = None  # the index of the stroke; None for a new one
     part: Part = "end"
     nth: int = 0  # which of the stroke's points
-    tool: Tool = "grab"  # what draws a new stroke
+    tool: Tool = "grab"  # the tool of a new stroke
     shift: bool = False
     turned: float = 0.0  # frames of the drag through time, including fractions from the wheel
     time: float = 0.0  # the whole frames of it, within the clip
@@ -90,9 +90,9 @@ class Held:
     way: list[tuple[Pair, Point]] = field(default_factory=list)  # of a path: the places of the pointer, and its points
     beneath: Point | None = None  # of a point that is added to a stroke: where its material was before the stroke
     dabbed: Pair | None = None  # of a painting: the place of the last dab
-    mask: Freeze | None = None  # of the freeze mask: what it is so far
-    painted: list[tuple[Point, float]] = field(default_factory=list)  # and its points, and how much there
-    base: Deformation | None = None  # and what it begins on
+    mask: Freeze | None = None  # the freeze mask as painted so far
+    painted: list[tuple[Point, float]] = field(default_factory=list)  # of a painting: its points, and their strengths
+    base: Deformation | None = None  # of a painting: the deformation on which it begins
     pressure: float | None = None  # of a pen, from 0 to 1: the greatest so far; of a painting, the present one
 
     @property
@@ -102,7 +102,7 @@ class Held:
 
     @property
     def paints(self) -> bool:
-        """True if it works on all of its way."""
+        """True if it is a painting, which acts all along the pointer's way."""
         return self.item is None and self.tool in PAINTINGS
 
     @property
@@ -131,7 +131,7 @@ class Held:
         return math.dist(self.start, self.now) >= CLICK or self.time != 0 or len(self.way) > 1
 
     def dabs(self, apart: float) -> Iterator[Pair]:
-        """Return the places of the next dabs, as far apart as that, on the way to the pointer."""
+        """Yield the places of the next dabs on the way to the pointer, ``apart`` logical pixels from each other."""
         if self.dabbed is None:
             self.dabbed = self.start
             yield self.start
@@ -144,8 +144,8 @@ class Held:
     def dragged(self, gone: Point, radii: Pair, normal: Point | None) -> Stroke:
         """Return the stroke after a drag.
 
-        The held point has ``gone`` that far, in samples, and the pointer to the right and down, in radii of the brush.
-        The normal is the axis about which a twist turns to the right on screen; None in a picture.
+        ``gone`` is the displacement of the held point, in samples; ``radii`` that of the pointer to the right and down,
+        in radii of the brush; ``normal`` the axis about which a twist turns to the right on screen, None in a picture.
         """
         if not self.shapes:
             return self._led(gone) if self.item is None and self.tool == "path" else self._moved(gone)
@@ -165,7 +165,7 @@ class Held:
         return replace(self.stroke, by=tuple(b - a for a, b in zip(self.stroke.at, end, strict=True)), path=tuple(path))
 
     def _moved(self, gone: Point) -> Stroke:
-        """Return the stroke with one of its points, or the end of that, moved."""
+        """Return the stroke with one of its points, or a point's end, moved."""
         pairs, path = list(self.stroke.handles), self.stroke.path
         at, by = pairs[self.nth]
         if self.item is not None and self.part == "pivot":
@@ -181,7 +181,7 @@ def _sum(a: Point, b: Point) -> Point:
     return tuple(x + y for x, y in zip(a, b, strict=True))
 
 
-FELT = 0.05  # the part of a drag that is left where it is hardly seen
+FELT = 0.05  # the part of a drag's displacement that is hardly visible
 _FAR = np.linspace(0.05, 20.0, 400)
 
 
@@ -197,15 +197,15 @@ def extent(brush: Brush, poisson: float | None, scales: int, reach: float | None
     return float(_FAR[np.flatnonzero(moved >= FELT * moved.max())[-1]])
 
 
-STILL = 0.01  # samples: a painting leaves alone what moves less
-_APART = 0.25  # radii between two dabs of the freeze mask, whose edge is even then
+STILL = 0.01  # samples: a painting whose points all move less is left out
+_APART = 0.25  # radii between two dabs of the freeze mask, for an even edge
 GROWTH = 1.1  # the factor of the brush for a notch of the wheel, which is 100
 
 
 class Drawing(ABC):
     """A brush on a document, for each kind of media."""
 
-    lacks: frozenset[Tool] = frozenset(("level", "keystone", "push"))  # the tools that are for others
+    lacks: frozenset[Tool] = frozenset(("level", "keystone", "push"))  # the tools that are for other kinds of media
 
     def __init__(self, document: Document) -> None:
         self.document = document
@@ -221,15 +221,15 @@ class Drawing(ABC):
         self.reach: float | None = REACH
         self.time_radius: float | None = None  # of strokes in time, in frames
         self.flat = 0.0  # the part of the radius of a pull that is a plateau
-        self.strength = 1.0  # of a dab of a painting: the part of the way that it goes
-        self.pen = False  # whether a pen was here
+        self.strength = 1.0  # of a dab of a painting: the part of its full effect
+        self.pen = False  # whether a pen was used
         self.pressing = True  # whether its pressure sets how much of a new stroke is made
         self.bare = False  # whether strokes have no handles
         self.symmetric = False  # whether new strokes have a mirror image
         self.across, self.middle = 0, 0.5 * (document.shape[-1] - 1)
-        """The axis across which they have it, x is 0; and where its line or plane lies on it, in samples."""
+        """The axis across the line or plane of symmetry, x is 0; and the position of this on it, in samples."""
         self.lean = 0.0
-        """Of a picture: how far the line goes along that axis from one sample to the next along the other."""
+        """In a picture, the slope of the line of symmetry: samples along ``across`` for one along the other axis."""
         self.stretch: Pair = (1.0, 1.0)  # of a circle of the image on the canvas, to the right and down
         self.handed = 1.0  # the sense of a turn to the right in the image: -1.0 if it is shown mirrored
 
@@ -329,7 +329,7 @@ class Drawing(ABC):
 
     @property
     def extent(self) -> tuple[float, float | None]:
-        """How far a stroke is felt, in radii: to where a twentieth of it is left, and its reach."""
+        """The extent of a stroke, in radii: the distance at which a twentieth of it is left, and its reach."""
         if self.brush in MASKS:
             return 1.0, None
         stroke = self.next_stroke if self.held is None else self.held.stroke
@@ -352,12 +352,12 @@ class Drawing(ABC):
         return self.symmetric and all(-0.5 <= x <= size - 0.5 for x, size in sides)
 
     def _images(self, stroke: Stroke, point: tuple[float, ...]) -> list[int]:
-        """Return which points of a stroke are the mirror image of one, if strokes are symmetric."""
+        """Return the indices of a stroke's points that mirror a point; none unless strokes are symmetric."""
         seen, near = self.mirrored(point), 0.02 * stroke.radius
         return [k for k, (at, _) in enumerate(stroke.handles) if self.symmetric and math.dist(at, seen) <= near]
 
     def paired(self, before: Stroke, after: Stroke) -> Stroke:
-        """Return an edited stroke, in which the mirror images of the points that were edited follow them."""
+        """Return an edited stroke in which the mirror images of edited points follow them."""
         pairs = list(after.handles)
         for nth, ((at, by), (p, v)) in enumerate(zip(before.handles, after.handles, strict=True)):
             if (at, by) == (p, v):
@@ -385,7 +385,7 @@ class Drawing(ABC):
             self.document.trouble = str(error)
 
     def _paint(self, held: Held) -> None:
-        """Restore, smooth or push what the pointer goes over, by one stroke, if that moves anything."""
+        """Restore, smooth or push the material on the pointer's way, by one stroke, unless it moves nothing."""
         document, count = self.document, len(held.painted)
         if held.tool == "push" and document.timed:
             raise SuppleError("a push is the same in every frame, and the strokes of this clip are in time")
@@ -415,7 +415,7 @@ class Drawing(ABC):
                 document.preview(made, select=False)
 
     def _mask(self, held: Held) -> None:
-        """Freeze or thaw what is under the pointer, for the strokes that follow; in the list only at the end."""
+        """Freeze or thaw the material under the pointer for later strokes; the document changes only at the end."""
         domain = self.document.deformation.domain
         mask = held.mask or self.document.freeze
         steps = (*domain.spacing[: mask.ndim],)

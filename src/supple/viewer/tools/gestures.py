@@ -18,7 +18,7 @@ V = TypeVar("V")
 
 Event = Mapping[str, Any]
 
-KNOB = 10.0  # the largest distance from a knob: of the split between before and after, of the line of symmetry
+KNOB = 10.0  # logical pixels: the largest distance of the pointer from a knob, of the split or the line of symmetry
 _KEPT = "this frame is kept, as those at the ends are: choose another, or fewer in Export options, Keep ends"
 _BENT = "the frames at the ends are bent, too, as you begin in one: Keep ends, in Export, keeps them as they are"
 _STAYS = "this place is frozen, and no stroke moves it: thaw it first (V)"
@@ -52,8 +52,8 @@ class Tools(Drawing, Generic[V]):
     """Edits of a document and moves of the view, from events.
 
     Events are those of rendercanvas; those of a pen have a ``pressure``, from 0 to 1, and may have the ``peak`` of its
-    drag. They may be merged, so that amounts count, and not their number. Errors are shown in `status`. The first
-    argument is the view, a viewport or a camera.
+    drag. Events may be merged, so that their amounts count, and not their number. Errors are shown in `status`.
+    ``view`` is a viewport or a camera.
     """
 
     def __init__(self, document: Document, view: V) -> None:
@@ -150,7 +150,7 @@ class Tools(Drawing, Generic[V]):
         """The left button's effect on the view where there is nothing to grab."""
         return "click"
 
-    # Methods of the kinds of media.
+    # Each kind of media has methods of its own for these.
 
     @property
     @abstractmethod
@@ -214,12 +214,12 @@ class Tools(Drawing, Generic[V]):
         return self._gesture is not None
 
     def _stays(self, held: Held) -> str | None:
-        """Return why nothing moves where something is grabbed, or what was done about it."""
+        """Return why nothing moves at the held point, or what was done about it; None if it moves."""
         mask, document = self.mask, self.document
         if document.kind == "video" and not document.hold <= document.frame < document.shape[0] - document.hold:
             if document.strokes:
                 return _KEPT
-            document.set_hold(0)  # who begins here wants this frame bent
+            document.set_hold(0)  # a first stroke in a kept frame is meant to bend it
             return _BENT
         return _STAYS if mask and mask.at([[p] for p in held.point[: mask.ndim]]).item() == 0 else None
 
@@ -247,7 +247,7 @@ class Tools(Drawing, Generic[V]):
         return self._released()
 
     def _press(self, held: Held | None, event: Event) -> None:
-        """Take a pen's pressure in, where the event has one; a drag that began without one goes on without."""
+        """Note a pen's pressure, if the event has one; a drag that began without one ignores it."""
         pressure, peak = _pressure(event.get("pressure")), _pressure(event.get("peak"))
         if pressure is None:
             return
@@ -399,7 +399,7 @@ def shifted(event: Event) -> bool:
 
 
 def _pressure(value: object) -> float | None:
-    """Return a pressure from 0 to 1; None for what is no finite number, which a page may send."""
+    """Return a pressure clamped to 0 to 1; None unless it is a finite number, as a page may send anything."""
     if not isinstance(value, int | float) or not -math.inf < value < math.inf:
         return None
     return float(min(max(value, 0.0), 1.0))

@@ -1,4 +1,4 @@
-"""The effects of hands and keys, in words, which the window shows on `?` and F1."""
+"""The effects of gestures and keys, in words, which the window shows on `?` and F1."""
 
 from __future__ import annotations
 
@@ -109,4 +109,4 @@ KEYS: Mapping[str, Rows] = {
         **_ALWAYS,
     },
 }
-"""For each kind of media, hands and keys in the order in which they are shown, and what they do."""
+"""For each kind of media, gestures and keys in the order in which they are listed, and what they do."""

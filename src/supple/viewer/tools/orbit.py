@@ -1,4 +1,4 @@
-"""The camera before a volume, led by the pointer; and the orientation cube beside the rendering."""
+"""The camera before a volume, moved by the pointer; and the orientation cube in the rendering."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ FARTHEST = 10.0  # the largest distance of the camera, in multiples of that at w
 STEP = 1.1  # the factor of the distance for a notch of the wheel, which is 100
 HALF = 21.0  # logical pixels of half an edge
 ROOMY = 240.0  # logical pixels: a narrower or lower rendering has no room for a cube
-_INSET = 46.0  # logical pixels from its middle to the lower right edges of the rendering
+_INSET = 46.0  # logical pixels from the cube's middle to the right and lower edges of the rendering
 # For each axis of LPS, the angles of a camera at its positive and at its negative end.
-# What is in front of the patient is up as the crown or the feet are seen, as in 3D Slicer.
+# Seen from the crown or from the feet, the patient's front is up, as in 3D Slicer.
 _SIDES = (
     ((90.0, 0.0), (-90.0, 0.0)),
     ((180.0, 0.0), (0.0, 0.0)),
@@ -39,11 +39,11 @@ class Stage:
     shape: tuple[int, ...]  # of the volume, (Z, H, W)
     geometry: Geometry
     size: tuple[int, int]  # rows and columns of the canvas, in logical pixels
-    points: npt.NDArray[np.float64] | None = None  # that are in view at first, in voxels (N, 3); None: the whole volume
+    points: npt.NDArray[np.float64] | None = None  # in view at first, in voxels, (N, 3); None for the whole volume
     _views: dict[Camera, Projection] = field(default_factory=dict, init=False, compare=False)
 
     def view(self, camera: Camera) -> Projection:
-        """Return the projection of a camera; the last ones are kept, as a frame asks for them for each mark."""
+        """Return the projection of a camera; the last ones are cached, as each mark in a frame asks for one."""
         if camera not in self._views:
             if len(self._views) >= 16:
                 self._views.clear()
@@ -59,7 +59,7 @@ class Stage:
         return tuple(((self.points.min(axis=0) + self.points.max(axis=0)) / 2).tolist())
 
     def placed(self, camera: Camera) -> Camera:
-        """Return the camera with its target and distance, by which it is in the same place before any scene."""
+        """Return the camera with its target and distance set, so that it is in the same place for every scene."""
         x, y, z = self.target(camera)
         return replace(camera, target=(x, y, z), distance=self.distance(camera))
 
@@ -142,7 +142,7 @@ class Face:
 
 
 def faces_of(stage: Stage, camera: Camera, corner: Pair) -> tuple[Face, ...]:
-    """Return the visible faces of the cube in a rendering with its upper left corner there; none without room."""
+    """Return the visible faces of the cube in a rendering with its upper left at ``corner``; none without room."""
     height, width = stage.size
     if min(width, height) < ROOMY:
         return ()

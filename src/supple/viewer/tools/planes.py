@@ -1,4 +1,4 @@
-"""The planes of a volume on a canvas: which axes they show, which way round, and where."""
+"""The planes of a volume on a canvas: their axes, their orientation, and their places."""
 
 from __future__ import annotations
 
@@ -24,18 +24,18 @@ _NEAREST, _FARTHEST = 40.0, 0.5  # zoom, relative to planes that fit
 
 @dataclass(frozen=True, slots=True)
 class Plane:
-    """A plane along two axes of a volume's voxels, the way round that is usual for a patient."""
+    """A plane along two axes of a volume's voxels, oriented as radiologists see it."""
 
-    # ``"axial"``, ``"coronal"`` or ``"sagittal"``, if it is within a few degrees: otherwise, of these the nearest; or
-    # the names of its axes, for voxels without a position in space
+    # The nearest of ``"axial"``, ``"coronal"`` and ``"sagittal"``; or the names of its axes, for voxels without a
+    # position in space
     name: str
     # The axes of the voxels, x is 0: the plane's normal, the axis seen from left to right, and from top to bottom
     axis: int
     across: int
     down: int
-    signs: tuple[int, int]  # for each of the latter, 1 if indices rise that way, or -1
+    signs: tuple[int, int]  # 1 if indices rise to the right, and down; otherwise -1
     forward: int  # 1 if the wheel, turned forward, leads to higher indices, or -1
-    # What is at the left, the right, the top and the bottom: letters of a patient, or an axis with its sign
+    # The names of the left, the right, the top and the bottom: letters of a patient, or an axis with its sign
     sides: tuple[str, str, str, str]
 
     @property
@@ -47,7 +47,7 @@ class Plane:
 
 
 def planes_of(geometry: Geometry) -> tuple[Plane, ...]:
-    """Return the axial, the coronal and the sagittal plane of a volume: along its voxels, whichever are nearest."""
+    """Return the planes along a volume's voxels that are nearest to the axial, the coronal and the sagittal one."""
     made, placed = [], geometry.convention != "array"
     for name, (_, right, below) in PLANES.items():
         (axis, across, down), (forward, one, other) = plane_axes(geometry.direction, name)
@@ -63,7 +63,7 @@ def planes_of(geometry: Geometry) -> tuple[Plane, ...]:
 
 
 def ends_of(planes: tuple[Plane, ...]) -> dict[int, tuple[str, str]]:
-    """Return what is at the first and at the last voxel along each axis of a volume, as its planes name it."""
+    """Return, for each axis of a volume, the names of the sides at its first and at its last voxel."""
     made = {}
     for plane in planes:
         (left, right, top, bottom), (one, other) = plane.sides, plane.signs
@@ -74,7 +74,7 @@ def ends_of(planes: tuple[Plane, ...]) -> dict[int, tuple[str, str]]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Upright:
-    """The axes of the patient about an oblique volume: a grid whose axes are those that the voxels' are nearest to."""
+    """A grid around an oblique volume, along the axes of the patient that are nearest to those of the voxels."""
 
     grid: Grid
     matrix: Floats  # from voxels, homogeneous, to its samples
@@ -82,7 +82,7 @@ class Upright:
 
     @classmethod
     def of(cls, geometry: Geometry, sizes: tuple[int, ...]) -> Upright:
-        """Return the smallest around a volume, with the spacing of its voxels."""
+        """Return the smallest such grid around a volume, with the spacing of its voxels."""
         turned = np.zeros((3, 3))
         for name, ((k, _), *_) in PLANES.items():
             axis = plane_axes(geometry.direction, name)[0][0]
@@ -107,7 +107,7 @@ class Upright:
 
 @dataclass(frozen=True, slots=True)
 class Pane:
-    """A plane in its place on the canvas; along the axes of the patient, its own indices are those of that grid."""
+    """A plane in its place on the canvas; its own indices are voxels or, with ``upright``, those of that grid."""
 
     plane: Plane
     place: Place  # the rectangle of its view
@@ -138,7 +138,7 @@ class Pane:
         return made if self.upright is None else self.upright.voxel(made)
 
     def under(self, x: float, y: float) -> Point:
-        """Return the same in the plane's own indices."""
+        """Return the point of the plane under a position of the canvas, in the plane's own indices."""
         (left, top, width, height), plane = self.place, self.plane
         made = [float(k) for k in self.index]
         ways = (plane.across, plane.signs[0], x - left - width / 2), (plane.down, plane.signs[1], y - top - height / 2)
@@ -155,7 +155,7 @@ class Pane:
         return abs(self.away(point)) <= 0.5
 
     def away(self, point: tuple[float, ...]) -> float:
-        """Return how far a point lies from the plane, in voxels."""
+        """Return the signed distance of a point from the plane, in slices."""
         return self.own(point)[self.plane.axis] - self.index[self.plane.axis]
 
     @property
@@ -201,7 +201,7 @@ class Sight:
         return replace(self, middle=_within(kept, pane.sizes if pane.upright is None else pane.upright.grid.sizes))
 
     def levelled(self, wider: float, brighter: float, *, fixed: bool = False) -> Self:
-        """Return the sight with a window, perhaps that of the fixed volume, wider and brighter by parts."""
+        """Return the sight with a window, or the ``fixed`` one, ``wider`` by a factor, ``brighter`` by a part of it."""
         low, high = self.fixed if fixed else self.window
         level, width = 0.5 * (low + high) - brighter * (high - low), (high - low) * wider
         made = level - 0.5 * width, level + 0.5 * width
@@ -214,7 +214,7 @@ def _within(point: tuple[float, ...], sizes: tuple[int, ...]) -> Point:
 
 
 def places_of(canvas: Pair, large: int | None, top: float = 0.0, beside: bool = False) -> dict[int, Place]:
-    """Return the places of the visible views, on a canvas that begins there: the rendering is at the upper right.
+    """Return the places of the visible views on a canvas that begins at ``top``: the rendering is at the upper right.
 
     With ``beside``, the planes of a fixed volume are below those of the other one, and beside a plane that is large.
     """
@@ -247,7 +247,7 @@ def fitting(places: dict[int, Place], planes: tuple[Plane, ...], sizes: tuple[in
 
 
 def holding(places: dict[int, Place], x: float, y: float) -> int | None:
-    """Return the view at a position of the canvas."""
+    """Return the number of the view at a position of the canvas; None beside all views."""
     for k, (left, top, width, height) in places.items():
         if left <= x < left + width and top <= y < top + height:
             return k

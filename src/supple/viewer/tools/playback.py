@@ -6,7 +6,7 @@ import bisect
 import math
 from collections.abc import Sequence
 
-_EARLY = 1e-6  # of a frame: tolerance of early times, against frames that are late by a whole one
+_EARLY = 1e-6  # of a frame: the tolerance for times slightly too early, which would show the frame before
 
 
 class Playback:
@@ -35,7 +35,7 @@ class Playback:
         return self._starts[self.frame] if self._starts else self.frame / self.rate
 
     def play(self) -> None:
-        """Play; from the in point at the end."""
+        """Play; at the end, start again from the in point."""
         if not self.first <= self.frame <= self.last or (self.frame == self.last and not self.loop):
             self.frame = self.first
         self.playing, self._since = True, None

@@ -13,15 +13,15 @@ from supple.viewer.tools.drawing import Pair
 
 CLOSEST = 64.0  # the largest size of an image pixel, in physical pixels of the screen
 FARTHEST = 0.25  # the smallest zoom, relative to the one that fits, or to 100 % if that is less
-_MOST = 8192  # columns or rows that are drawn: those of any device
-_HORIZON = 1e-3  # the least depth of what is shown in perspective, that of the middle being 1
+_MOST = 8192  # the most columns or rows to draw: every device has textures of this size
+_HORIZON = 1e-3  # the least depth that is shown in perspective; the depth of the middle is 1
 _BESIDE = 2.0  # pixels beside a picture in perspective that are drawn
 
 Turn = tuple[float, float, float, float]
-"""A map of displacements in an image to those that are shown: x from x and from y, and y from x and from y."""
+"""A linear map from displacements in an image to those on screen: its matrix, row by row."""
 UPRIGHT: Turn = (1.0, 0.0, 0.0, 1.0)
 Part = tuple[float, float, float, float, float, float, float, float, float]
-"""A part of what is drawn, as `supple.gpu.screen.Part`."""
+"""A part of a drawn image, as `supple.gpu.screen.Part`."""
 
 
 def turn_of(rotation: float, aspect: Fraction | None = None, *, mirrored: bool = False) -> Turn:
@@ -102,7 +102,7 @@ class Viewport:
 
     @cached_property
     def _near(self) -> tuple[Turn, Pair]:
-        """The turn, and what vanishes, about the centre of the canvas."""
+        """The turn and the vanishing, relative to the centre of the canvas."""
         (a, b, c, d), (g, h) = self.turn, self.vanishing
         if not (g or h):
             return self.turn, self.vanishing
@@ -141,7 +141,7 @@ class Viewport:
         return (a * x + b * y) / w, (c * x + d * y) / w
 
     def _back(self, x: float, y: float) -> tuple[float, float, float]:
-        """Return the displacement from the centre that is shown as this one, and what divides it."""
+        """Return the displacement from the centre that is shown as this one: its numerators, and their divisor."""
         (a, b, c, d), (g, h) = self._near
         size = a * d - b * c
         p, q = (d * x - b * y) / size, (a * y - c * x) / size
@@ -149,10 +149,10 @@ class Viewport:
 
     @lru_cache(maxsize=2)  # noqa: B019 - of the last views
     def drawn(self, size: tuple[int, int], ratio: float) -> tuple[Pair, float, tuple[int, int], Part]:
-        """Return what is drawn of the image, along its axes, for a canvas of physical pixels; it is as fine as these.
+        """Return the part of the image to draw, along its axes, as fine as a canvas of ``size`` physical pixels.
 
-        That is the point of the image at the first sample, the step to the next, columns and rows, and the canvas in
-        fractions of them, as `supple.gpu.screen.Part` has it.
+        It is given by the point of the image at the first sample, the step from sample to sample, columns and rows, and
+        the canvas in fractions of these, as a `supple.gpu.screen.Part`.
         """
         width, height = (n / ratio for n in size)
         inset = 0.5 / ratio
@@ -179,7 +179,7 @@ class Viewport:
         return origin, scale, (columns, rows), (x, y, a - x, b - y, c - x, d - y, w, e - w, f - w)
 
     def _depth(self, x: float, y: float) -> float:
-        """Return how much smaller a point of the image is shown than its middle, at least."""
+        """Return the depth of a point of the image, at which it is shown so much smaller than the middle."""
         (g, h), (columns, rows) = self.vanishing, self.image_size
         return max(1 + g * (x - (columns - 1) / 2) + h * (y - (rows - 1) / 2), _HORIZON)
 

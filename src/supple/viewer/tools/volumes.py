@@ -33,8 +33,8 @@ class VolumeTools(Tools[Camera]):
     """The tools of a volume: a left drag pulls what is under the pointer within a plane, or parallel to the screen.
 
     The canvas has a width and a height of all views together, in logical pixels. ``pick`` and ``drag`` return the point
-    at a pixel of the rendering and the drag to another, as `supple.render.scene.Scene` does. The window are the values
-    that are black and white at first; points, in voxels, are in view at first, or the whole volume.
+    at a pixel of the rendering and the drag to another, as `supple.render.scene.Scene` does. ``window`` has the values
+    that are black and white at first; ``points``, in voxels, are in view at first, by default the whole volume.
     """
 
     def __init__(
@@ -137,7 +137,7 @@ class VolumeTools(Tools[Camera]):
         return self._gesture is not None
 
     def surface(self, place: Pair) -> Pick | None:
-        """Return what is rendered at a position of the canvas; rays are cast once for a camera and strokes."""
+        """Return the rendered point at a position of the canvas; results are cached for a camera and strokes."""
         key = self.view, self.stage.size, self.document.revision
         if self._picks[0] != key or len(self._picks[1]) > _MOST_PICKS:
             self._picks = key, {}
@@ -206,7 +206,7 @@ class VolumeTools(Tools[Camera]):
         return self.pane(self.active).to_point(*place)[self.across]
 
     def handle(self, event: Event) -> bool:
-        """Process an event, for the view at its place; a gesture stays in its view."""
+        """Process an event for the view at its position; a gesture stays in the view in which it began."""
         if self._gesture is None and event.get("event_type") in ("pointer_down", "pointer_move", "wheel"):
             found = holding(self.places, float(event["x"]), float(event["y"]))
             self.active = self.active if found is None else found
@@ -319,7 +319,7 @@ class VolumeTools(Tools[Camera]):
         return True
 
     def _taken(self, x: float, y: float) -> Held | None:
-        """Return what is grabbed; the crosshair goes to a new point, so that all planes show what becomes of it."""
+        """Return what is grabbed; the crosshair moves to a new point, so that all planes show the effect there."""
         held = super()._taken(x, y)
         if held is not None and held.new:
             self.sight = self.sight.at(held.point, self.sizes)
@@ -333,7 +333,7 @@ class VolumeTools(Tools[Camera]):
         found = self._picked = self.pick(*self._within(x, y))
         if found is None:
             return None
-        # A picked point lies in the volume, but for rounding.
+        # A picked point lies in the volume, up to rounding.
         return tuple(np.clip(found.index, -0.5, np.array(self.sizes) - 0.5).tolist())
 
     def _seen(self, point: tuple[float, ...]) -> Pair | None:

@@ -11,7 +11,7 @@ from typing import Any
 
 from supple.viewer.document.files import Question
 
-_PROGRAMS = ("zenity", "kdialog", "matedialog", "qarma")  # that are used where there is an X server or Wayland
+_PROGRAMS = ("zenity", "kdialog", "matedialog", "qarma")  # programs that show the dialogs on X or Wayland
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,7 +28,7 @@ class FileDialog:
         return str(found if isinstance(found, str) else next(iter(found), ""))
 
     def close(self) -> None:
-        """Close it."""
+        """Close the dialog."""
         self.dialog.kill()
 
 

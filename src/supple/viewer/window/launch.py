@@ -52,7 +52,7 @@ _USUAL = ViewOptions()
 
 
 def _exists(source: Source) -> None:
-    """Raise SuppleError for the name of a file that is not there; patterns of sequences are looked at later."""
+    """Raise SuppleError for a file that does not exist; patterns of image sequences are checked later."""
     if isinstance(source, str | os.PathLike) and "%" not in os.fspath(source) and not os.path.exists(source):
         raise SuppleError(f"cannot read {shown(source)}: there is no such file: check the name")
 
@@ -111,7 +111,7 @@ def _moves(source: str | os.PathLike[str]) -> bool:
 _ONLY = {"time_scale": "clip", "frame": "clip", "volume": "volume", "points": "volume"} | dict.fromkeys(
     OPTIONS, "volume"
 )
-"""Options for files of one kind."""
+"""For each option that suits one kind of file only, that kind."""
 
 
 def _suits(name: str, options: ViewOptions, kind: str) -> None:
@@ -148,7 +148,7 @@ def tools_of(stage: ImageStage | VolumeStage, document: Document, size: Pair) ->
 def opened(
     source: Source, recipe: Recipe | None, canvas: Any, loop: Any, gpu: Gpu | None = None, options: ViewOptions = _USUAL
 ) -> Window:
-    """Return the view of a source on a canvas.
+    """Return the window of a source on a canvas.
 
     SuppleError if the source or the recipe does not fit, there is no GPU, or a part of the window is not installed.
     """
@@ -167,7 +167,7 @@ def opened(
     if not in_time or options.fit == "pixels":  # the length of a frame would have to be scaled
         recipe = fit_recipe(recipe, size, options.fit, stage.name)
     marks = landmarks_of(stage, options) if isinstance(stage, VolumeStage) else None
-    hold = int(stage.kind == "video" and any(parts_of(stage.shape[0], 1)))  # where frames are left to fade in
+    hold = int(stage.kind == "video" and any(parts_of(stage.shape[0], 1)))  # 0 if no frame would be left for strokes
     document = Document(stage.shape, stage.spacing, recipe, kind=stage.kind, geometry=geometry, hold=hold, marks=marks)
     tools = tools_of(stage, document, canvas.get_logical_size())
     if options.frame is not None and isinstance(tools, VideoTools):
@@ -203,7 +203,7 @@ def show(
     size: tuple[int, int] = SIZE,
     options: ViewOptions = _USUAL,
 ) -> Window:
-    """Open a window of columns and rows, and return it when it is closed; source and recipe as in `view`."""
+    """Open a window of ``size`` (columns, rows), and return it when it is closed; source and recipe as in `view`."""
     _exists(source)
     with _installed():
         import glfw
@@ -285,7 +285,7 @@ def view(
     points : str or os.PathLike, optional
         A file of landmarks, which are shown in a volume, as by ``supple view --points``.
     convention : str, optional
-        The coordinates of a table of them that does not name its own: ``"LPS"``, ``"RAS"`` or ``"index"``.
+        The coordinates of a table of landmarks that does not name them: ``"LPS"``, ``"RAS"`` or ``"index"``.
     maps : sequence of Placed, optional
         Fields and affine maps, as in `supple.warp_file`, through which the file is seen; strokes come after them.
     **more

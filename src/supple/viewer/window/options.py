@@ -1,4 +1,4 @@
-"""How the window reads what it shows."""
+"""The options with which the window reads its source."""
 
 from __future__ import annotations
 
@@ -23,16 +23,16 @@ class ViewOptions:
 
     spacing: Spacing = EVEN  # of the voxels of an array, in millimetres, x first
     time_scale: float = 1.0  # the length of a clip's frame in pixels, for the brush
-    volume: VolumeOptions = PLAIN  # of its file; and whether the first strokes are in millimetres
+    volume: VolumeOptions = PLAIN  # for a volume file; and whether the first strokes are in millimetres
     fit: Fit | None = None  # the scaling of the first strokes, if made for another size, as in `supple.warp_file`
     points: str | os.PathLike[str] | None = None  # a file of landmarks, shown in a volume
-    convention: str | None = None  # of a table of them that does not name its own, as in `supple points`
-    maps: tuple[Placed, ...] = ()  # fields and affine maps before all strokes, through which the source is seen
-    frame: int | None = None  # of a clip, the one that is shown first
-    fixed: str | os.PathLike[str] | None = None  # a volume that another one is registered to, on whose grid it is seen
-    fixed_points: str | os.PathLike[str] | None = None  # landmarks of that
+    convention: str | None = None  # the coordinates of a table of points that does not name them, as in `supple points`
+    maps: tuple[Placed, ...] = ()  # fields and affine maps before all strokes, through which the source is shown
+    frame: int | None = None  # the first frame to show, of a clip
+    fixed: str | os.PathLike[str] | None = None  # the fixed volume of a registration: the source is shown on its grid
+    fixed_points: str | os.PathLike[str] | None = None  # landmarks of the fixed volume
     segmentation: str | os.PathLike[str] | None = None  # labels over a volume, which move with it
-    label_colours: str | os.PathLike[str] | None = None  # a table of their names and colours, or of a label map's own
+    label_colours: str | os.PathLike[str] | None = None  # names and colours, for the segmentation or a label map
 
     def __post_init__(self) -> None:
         length("time_scale", self.time_scale)
@@ -46,7 +46,7 @@ class ViewOptions:
     @property
     def export(self) -> dict[str, Any]:
         """The arguments of `supple.warp_file` for the same image as on screen."""
-        # Strokes are indices here, whatever the space of the first ones.
+        # Points of strokes are voxels here, whatever the space of the first strokes.
         known: dict[str, Any] = {"volume": replace(self.volume, world=False)}
         known |= {"maps": self.maps} if self.maps else {}
         return known if self.fixed is None else {**known, "grid": GridOptions(self.fixed, strokes=True)}

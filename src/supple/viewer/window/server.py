@@ -64,11 +64,11 @@ def guarded(app: App, token: str, title: str) -> App:
 
 
 class _Turns:
-    """Connections of pages, of which one at a time is served: each takes over from the one before."""
+    """The connections of pages, which are served one at a time: each takes over from the one before."""
 
     def __init__(self, app: App) -> None:
         self._app = app
-        self._last = asyncio.Event(), asyncio.Event()  # of the last page: it is taken over; it has left
+        self._last = asyncio.Event(), asyncio.Event()  # of the last page: set when it is taken over; when it has left
         self._last[1].set()
 
     async def serve(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -104,13 +104,13 @@ def _headers(scope: Scope, name: bytes) -> list[bytes]:
 
 
 def _cookies(scope: Scope, name: bytes) -> list[bytes]:
-    """Return the values of a cookie, among those of other programs on this host."""
+    """Return all values of a cookie: other programs on this host may set cookies, too."""
     parts = (part.strip().partition(b"=") for line in _headers(scope, b"cookie") for part in line.split(b";"))
     return [value for key, _, value in parts if key == name]
 
 
 def _from_here(scope: Scope) -> bool:
-    """Return whether a request is from our own page: cookies are sent by pages of any port of a host."""
+    """Return whether a request is from our own page: browsers send cookies for pages of any port of a host."""
     hosts = [host.decode("latin-1").lower() for host in _headers(scope, b"host")]
     try:
         return all(urlsplit(o.decode("latin-1")).netloc.lower() in hosts for o in _headers(scope, b"origin"))
@@ -136,7 +136,7 @@ def listening(port: int) -> socket.socket:
 
 
 def serve(app: App, listener: socket.socket, over: Callable[[], bool] = lambda: False) -> None:
-    """Serve until an interrupt, which raises KeyboardInterrupt, or the end of all windows."""
+    """Serve until an interrupt, which raises KeyboardInterrupt, or until ``over`` returns True."""
     import uvicorn
 
     class Server(uvicorn.Server):
@@ -158,9 +158,9 @@ def serve(app: App, listener: socket.socket, over: Callable[[], bool] = lambda: 
 
 
 TAKEN = 4001
-"""The code with which the connection of a page is closed whose window another page has taken over."""
+"""The code that closes the connection of a page when another page takes over its window."""
 
-# The focus of a canvas is an element of its own. Other keys of the window do nothing in a browser while that has it.
+# The focus of a canvas is on an element of its own: then browsers do nothing for the window's other keys.
 KEYS = f"""
 window.addEventListener("keydown", (event) => {{
   const letter = {json.dumps(sorted(COMMANDS))}.includes(event.key.toLowerCase());

@@ -53,7 +53,7 @@ def volume_stage(gpu: Gpu, source: str | os.PathLike[str], options: ViewOptions)
         known = Registration(volume, Deformation(where.grid, border=None), options.maps, fixed)
         volume = placed(known, options)
     table = None if options.label_colours is None else _table(options.label_colours)
-    own = table if options.segmentation is None else None  # of the volume, which is a label map
+    own = table if options.segmentation is None else None  # the colours of the volume itself, a label map
     samples = volume.rescaled()
     transfer = default_transfer(volume) if own is None else own
     stage = VolumeStage(gpu, volume, transfer, samples[0] if volume.series else samples)
@@ -66,7 +66,7 @@ def volume_stage(gpu: Gpu, source: str | os.PathLike[str], options: ViewOptions)
 
 
 def placed(known: Registration, options: ViewOptions) -> Volume:
-    """Return a volume as it is seen on the grid of the window before strokes; of a series, the first one."""
+    """Return a volume resampled on the grid of the window, before strokes; of a series, its first volume."""
     volume, grid = known.moving, known.plain.grid
     labels = options.volume.labels or volume.is_segmentation or is_of_labels(volume)
     fill = volume.stored(background_of(volume, labels=labels))
@@ -95,7 +95,7 @@ def _table(path: str | os.PathLike[str]) -> LabelColours:
 
 
 def comparison_of(stage: VolumeStage) -> Comparison | None:
-    """Return how a volume is compared with the fixed one at first; None if there is none."""
+    """Return the initial comparison of a volume with the fixed one; None if there is no fixed one."""
     fixed = None if stage.registration is None else stage.registration.fixed
     if fixed is None:
         return None
@@ -122,7 +122,7 @@ def write_landmarks(stage: VolumeStage, document: Document, path: PathLike, forc
 
 
 def landmarks_of(stage: VolumeStage, options: ViewOptions) -> Landmarks | None:
-    """Return the landmarks of files, and, with a fixed volume, room for others; None if none can be."""
+    """Return the landmarks of files; with a fixed volume, there may be none yet; None where none can be set."""
     known, geometry = stage.registration, stage.volume.geometry
     names: tuple[str, ...] = ()
     points = np.zeros((0, 3))

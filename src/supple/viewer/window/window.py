@@ -1,4 +1,4 @@
-"""The window: Dear ImGui on a canvas, events, images, and the time of the next one; signals close it between frames."""
+"""The window: Dear ImGui on a canvas, events, frames and their scheduling; signals close it between frames."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _BOUND = "__imgui_bind_group"
 
 
 class _Layer:
-    """A context of Dear ImGui, what was laid out in it last, and what draws that."""
+    """A context of Dear ImGui, its last layout, and the backend that draws it."""
 
     def __init__(self, backend: ImguiWgpuBackend, work: Callable[[], None]) -> None:
         self._context, self._work, self.backend = imgui.get_current_context(), work, backend
@@ -41,7 +41,7 @@ class _Layer:
         io.config_error_recovery_enable_tooltip = False
 
     def lay(self, size: tuple[float, float], ratio: float) -> str:
-        """Lay it out, for a canvas of a logical size; return the error, or an empty text."""
+        """Run the layout for a canvas of a logical size; return the error, or an empty text."""
         imgui.set_current_context(self._context)
         io = self.backend.io
         io.display_size, io.display_framebuffer_scale = imgui.ImVec2(*size), imgui.ImVec2(ratio, ratio)
@@ -63,7 +63,7 @@ class Gui:
     """Controls and marks on a canvas, laid out by functions, drawn in the canvas's format, with the canvas's events.
 
     The marks lie on the picture, below the controls, and are laid out for each frame. They have no events, and a
-    context of their own. Both draw with textures of letters, and with pictures by their numbers.
+    context of their own. Both draw with the same font textures, and with ``pictures``, textures by their numbers.
     """
 
     def __init__(
@@ -96,7 +96,7 @@ class Gui:
             self._renderer.backend.io.want_capture_mouse = False
 
     def close_lists(self, kept: int) -> bool:
-        """Close the menu, or other lists, but for as many popups; return whether there were more."""
+        """Close menus and lists until ``kept`` popups are left; return whether there were more."""
         imgui.set_current_context(self._renderer.imgui_context)
         more = len(self._renderer.imgui_context.open_popup_stack) > kept
         if more:
@@ -104,9 +104,9 @@ class Gui:
         return more
 
     def lay(self, *, all: bool) -> None:
-        """Lay out the marks, and the controls if all is to be."""
+        """Lay out the marks and, with ``all``, the controls."""
         size, ratio = self._canvas.get_logical_size(), self._canvas.get_pixel_ratio()
-        trouble = self._controls.lay(size, ratio) if all else ""  # first: the letters are theirs
+        trouble = self._controls.lay(size, ratio) if all else ""  # first: they own the font textures
         self.trouble = trouble or self._marks.lay(size, ratio)
         imgui.set_current_context(self._renderer.imgui_context)
 
@@ -121,7 +121,8 @@ class Gui:
                 self._shown[which] = texture
                 views[which] = texture.create_view()
         for view in views.values():
-            # wgpu would make one for each draw: it keeps them by a name that Python changes, and never finds them.
+            # wgpu's backend would make a bind group for each draw: it looks for a cached one under a name that Python
+            # has mangled, and never finds it.
             if not hasattr(view, _BOUND):
                 entry = {"binding": 0, "resource": view}
                 layout = backend._texture_bind_group_layout
@@ -133,9 +134,9 @@ class Gui:
 FILLING = 0.004  # seconds of each frame for filling a volume's buffer
 ANSWERED = 0.1  # seconds after an event until a panel has reacted
 FOLLOWED = 4  # frames of a drag for each in which the controls follow it
-HINTED = 0.3  # and until it shows a hint under a resting pointer
+HINTED = 0.3  # seconds after an event until a panel shows a hint under a resting pointer
 _ENDS = tuple(getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name))
-HINTS = 4  # frames for a hint: it is measured in the first that has it, and seen in the next
+HINTS = 4  # frames for a hint: it is measured in its first frame, and visible in the next
 
 
 class Waking:
@@ -176,22 +177,22 @@ class Waking:
 
 @contextlib.contextmanager
 def unbroken() -> Iterator[None]:
-    """Delay Ctrl+C, and what terminates, until the end of a frame, so that it has a canvas; name what is in it."""
+    """Delay Ctrl+C and termination until the end of a frame, which needs its canvas; errors name the controls."""
     with facing(WINDOW), _held((signal.SIGINT, *_ENDS), lambda: None):
         yield
 
 
 @contextlib.contextmanager
 def closed_by_signals(loop: Any) -> Iterator[None]:
-    """Close the windows of a loop when the process is asked to terminate, and end as it does without windows."""
-    # rendercanvas hears Ctrl+C alone, and logs what is raised in a frame.
+    """Close the windows of a loop on a termination signal, whose own handler is called afterwards."""
+    # rendercanvas handles Ctrl+C only, and logs exceptions raised in a frame.
     with _held(_ENDS, loop.stop):
         yield
 
 
 @contextlib.contextmanager
 def _held(numbers: tuple[int, ...], heard: Callable[[], None]) -> Iterator[None]:
-    """Call a function for signals that have a handler, and the handler once the block is done."""
+    """Call ``heard`` at once for signals that have a handler, and the handler when the block has ended."""
     main = threading.current_thread() is threading.main_thread()
     before = {n: handler for n in numbers if main and callable(handler := signal.getsignal(n))}
     came: dict[int, Any] = {}
@@ -237,7 +238,7 @@ class Window(View):
     def _stir(self, event: dict[str, Any]) -> None:
         """Schedule frames for an event, even if the panel consumes it."""
         kind = event["event_type"]
-        if kind == "key_down" and event.get("key") == "Escape":  # of a question and a list, the list
+        if kind == "key_down" and event.get("key") == "Escape":  # closes a list first, and then a question
             event["stop_propagation"] = self._gui.close_lists(int(self.commands.asked is not None))
         if kind == "pointer_move" and not self._inside(event):
             self.tools.handle({"event_type": "pointer_leave"})
@@ -265,7 +266,7 @@ class Window(View):
         if kind in ("pointer_down", "wheel") and not self._inside(event):
             self.canvas.request_draw()
             return
-        if kind == "char":  # only these know the layout of the keyboard in all toolkits
+        if kind == "char":  # in some toolkits, only these events depend on the layout of the keyboard
             typing, self._typing = self._typing, False  # a key that is held repeats its character
             if typing and event.get("data") == "?":
                 self.tools.press("?")
@@ -335,7 +336,7 @@ class Window(View):
                 self._textures = self.painter.paint(shot, encoder)
             self._drawn_key = key
         if slow and anew and isinstance(tools, VolumeTools):
-            tools.forget()  # what is under the pointer is another point now
+            tools.forget()  # another point is under the pointer now
         self._present(shot, encoder)
         if anew and moving:
             self.painter.learn()
