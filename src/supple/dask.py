@@ -49,17 +49,17 @@ def warp(
     Parameters
     ----------
     array : dask.array.Array, xarray.DataArray, or array
-            The source. From an array that is sliced when it is read (Zarr's, HDF5's, a memory map), each task reads
-            only its part, so memory does not grow with the array. Chunks of a Dask array are computed once, and shared
-            by the tasks that need them.
+        The source. From an array that is sliced when it is read (Zarr's, HDF5's, a memory map), each task reads
+        only its part, so memory does not grow with the array. Chunks of a Dask array are computed once, and shared
+        by the tasks that need them.
     deformation : Deformation
     grid : Grid, optional
         The grid of the output; by default, that of the input.
     chunks : int, tuple or dict, optional
-            The chunks of the output, as in Dask; by default, those of the source. For a DataArray, a dict names axes.
-            Of axes that it omits, bent ones have one chunk, and others chunks of one position.
+        The chunks of the output, as in Dask; by default, those of the source. For a DataArray, a dict names axes.
+        Of axes that it omits, bent ones have one chunk, and others chunks of one position.
     axes : sequence of int, optional
-            The axes that are bent: adjacent, in ascending order. By default the last ones, if they have the shape of
+        The axes that are bent: adjacent, in ascending order. By default the last ones, if they have the shape of
         the deformation, and the first ones otherwise, as of images with channels. Axes before them are carried along:
         times, channels, positions. An axis after them holds channels, the last of which may be opacity.
     sampling : Sampling, optional
@@ -70,9 +70,9 @@ def warp(
     Returns
     -------
     dask.array.Array or xarray.DataArray
-            Of the source's type, and equal to what `Deformation.warp` returns, bit for bit. A DataArray keeps its name,
-            attributes and coordinates. Another grid sets the coordinates of bent axes, if it is parallel to the axes of
-            space; a part of the deformation's own grid keeps the source's.
+        Of the source's type, and equal to what `Deformation.warp` returns, bit for bit. A DataArray keeps its name,
+        attributes and coordinates. Another grid sets the coordinates of bent axes, if it is parallel to the axes of
+        space; a part of the deformation's own grid keeps the source's.
 
     Warns
     -----

@@ -92,9 +92,9 @@ class Certified:
     points : float64 array, shape (..., D)
         The points, in pixels, x first.
     error : float64 array, shape (...)
-            A bound on the distance of each point from its exact image, in physical units (samples times spacing): for
-            solved points, four times the remaining Newton step, magnified by the maps after it; and rounding. inf where
-            no solution was found.
+        A bound on the distance of each point from its exact image, in physical units (samples times spacing): for
+        solved points, four times the remaining Newton step, magnified by the maps after it; and rounding. inf where
+        no solution was found.
     converged : bool array, shape (...)
         Whether a solution was found.
     """
@@ -126,8 +126,8 @@ class Arrival:
     also : tuple of Arrival
         For a pull, the arrivals of its further points, in order.
     carried_by : int or None
-            For a grab or a pull, the index of the later stroke that carries the point more than half a sample away;
-            None if none does, or one that may do so (see `MissWarning`).
+        For a grab or a pull, the index of the later stroke that carries the point more than half a sample away;
+        None if none does, or one that may do so (see `MissWarning`).
     """
 
     target: Vector
@@ -240,8 +240,8 @@ class Deformation:
         to its target in smaller steps; ``"damp"`` it to a safe length, with a warning; or raise a `FoldError`
         (``"error"``).
     freeze : array or Freeze, optional
-            The freeze mask: an array of the shape, True (or white) where strokes shall move nothing; or a `Freeze`, for
-            another width of the fade (`Freeze.of`). A clip also takes a mask of shape (H, W), for all its frames.
+        The freeze mask: an array of the shape, True (or white) where strokes shall move nothing; or a `Freeze`, for
+        another width of the fade (`Freeze.of`). A clip also takes a mask of shape (H, W), for all its frames.
 
     Notes
     -----
@@ -462,8 +462,8 @@ class Deformation:
         Raises
         ------
         SuppleError
-                If a field does not overlap the output's grid, or the region to which the maps before it lead; or if the
-                inverse of a straightened picture is asked for.
+            If a field does not overlap the output's grid, or the region to which the maps before it lead; or if the
+            inverse of a straightened picture is asked for.
         """
         plain = self._space
         if inverse and self.straightened is not None:
@@ -633,8 +633,8 @@ class Deformation:
         Parameters
         ----------
         stroke : Stroke
-                A hidden one is not added: the deformation is returned unchanged. A strength other than 1 applies, and
-                records, that fraction of the drag; beyond 1, or below 0, as much of it as is possible.
+            A hidden one is not added: the deformation is returned unchanged. A strength other than 1 applies, and
+            records, that fraction of the drag; beyond 1, or below 0, as much of it as is possible.
         warn : bool
             Whether to warn if it starts outside the samples or misses its target, and to refuse it if it reaches no
             sample; `warnings` has the text of a miss too. Errors and warnings are those of all brushes.
@@ -772,8 +772,8 @@ class Deformation:
         Parameters
         ----------
         matrix : array_like, shape (D, D + 1) or (D + 1, D + 1), or Affine
-                The map of positions (see `grid`), from a point of the output to its source point in the input (pull),
-                as resampling tools take it.
+            The map of positions (see `grid`), from a point of the output to its source point in the input (pull),
+            as resampling tools take it.
         inverse : bool
             Whether to apply the inverse: a point of the input goes where the matrix says (push).
         """
@@ -785,7 +785,7 @@ class Deformation:
         Parameters
         ----------
         field : Field
-                From a point of the output to its source point in the input (pull), as resampling tools take it.
+            From a point of the output to its source point in the input (pull), as resampling tools take it.
         inverse : bool
             Whether to apply the inverse: a point x of the input goes to x + u(x) (push). It is solved at every pixel.
 
@@ -809,7 +809,7 @@ class Deformation:
         how : Straighten, optional
             By default, one that changes nothing.
         sizes : sequence of int, optional
-                The width and height of the whole picture, whose first pixel is at (0, 0), if this is a part of it.
+            The width and height of the whole picture, whose first pixel is at (0, 0), if this is a part of it.
         **options
             Fields to replace, by name: ``d.straighten(rotate=5)``.
 
@@ -1003,12 +1003,12 @@ class Deformation:
         out : array, optional
             The array for the result, of its shape and type, and not overlapping ``source``.
         grid : Grid, optional
-                The grid of the output; by default, that of the input. `supple.grid_of` reads that of another image. On
-                a part of the grid, ``d.grid.crop(…)``, the result equals that part of the whole, bit for bit, and costs
-                in proportion.
+            The grid of the output; by default, that of the input. `supple.grid_of` reads that of another image. On
+            a part of the grid, ``d.grid.crop(…)``, the result equals that part of the whole, bit for bit, and costs
+            in proportion.
         inverse : bool
-                Whether to apply T⁻¹ in place of T, which undoes a warp. Each pixel p of the result is the source's
-                sample at T(p), which is explicit, so the inverse is as exact as the map.
+            Whether to apply T⁻¹ in place of T, which undoes a warp. Each pixel p of the result is the source's
+            sample at T(p), which is explicit, so the inverse is as exact as the map.
         **options
             Fields of the sampling to replace, by name: ``d.warp(image, filter="linear", outside="reflect")``.
 

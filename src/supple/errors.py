@@ -21,13 +21,13 @@ class Spelling:
     Parameters
     ----------
     argument : function of (str, object)
-            Returns the spelling of an argument, given its name and its value: the name alone if that is `Spelling.ANY`.
+        Returns the spelling of an argument, given its name and its value: the name alone if that is `Spelling.ANY`.
     none : str
-            The spelling of None.
+        The spelling of None.
     first : int
         The number of the first frame of a clip.
     stroke : function of Stroke, optional
-            Returns the name of a stroke; by default, its brush with all its numbers.
+        Returns the name of a stroke; by default, its brush with all its numbers.
     """
 
     ANY = _ANY

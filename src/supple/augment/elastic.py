@@ -47,13 +47,13 @@ class Sample:
     image : array of shape (H, W[, C]) or (Z, H, W[, C])
         Of the type of the given image.
     labels : array of shape (H, W[, C]) or (Z, H, W[, C])
-            Of the type of the given labels, without new values.
+        Of the type of the given labels, without new values.
     points : float64 array, shape (N, D)
         In samples, x first.
     boxes : float64 array, shape (N, 2 D)
         The boxes around the bent boxes: their lower corners, and their upper ones, in the coordinates of points.
     deformation : Deformation
-            The random deformation: ``deformation.recipe.to_json()`` is its recipe.
+        The random deformation: ``deformation.recipe.to_json()`` is its recipe.
     """
 
     image: npt.NDArray[Any] | None
@@ -72,13 +72,13 @@ class RandomElastic:
     Parameters
     ----------
     max_displacement : float
-            The most that points move, in physical units: pixels, unless a picture or volume has a spacing. At most the
-            smallest radius. At the sampled points, a radius apart, the displacement is limited to 85 % of it.
+        The most that points move, in physical units: pixels, unless a picture or volume has a spacing. At most the
+        smallest radius. At the sampled points, a radius apart, the displacement is limited to 85 % of it.
     radius : float or (float, float)
         The radius of the strokes, in physical units, or the range from which each is drawn: small ones make
         wrinkles, large ones bend the whole.
     strokes : int or (int, int)
-            The number of strokes, or its range, including both ends.
+        The number of strokes, or its range, including both ends.
     border : "auto", float, sequence of float or None
         The width of the fixed border, as in `Deformation`: nothing leaves the picture, and nothing comes in. None: the
         border is free.
@@ -127,8 +127,8 @@ class RandomElastic:
         shape : sequence of int or Grid
             ``(H, W)`` or ``(Z, H, W)``; or the grid of a picture or volume, which has its spacing.
         seed : int or numpy.random.Generator, optional
-                The same number draws the same deformation; a generator, the next one. By default, a new one every time,
-                in every process.
+            The same number draws the same deformation; a generator, the next one. By default, a new one every time,
+            in every process.
         spacing : float or sequence of float
             Physical units per sample, x first.
 
@@ -200,8 +200,8 @@ class RandomElastic:
         Raises
         ------
         SuppleError
-                If an argument does not fit; or if the image has three axes, the last with more than four entries, and
-                no ``shape`` says whether it is a volume.
+            If an argument does not fit; or if the image has three axes, the last with more than four entries, and
+            no ``shape`` says whether it is a volume.
         """
         array = np.asarray(image)
         if shape is None:
@@ -225,10 +225,10 @@ def apply(
     Parameters
     ----------
     deformation : Deformation
-            The result of `RandomElastic.draw`, or of `Deformation.from_recipe` with its recipe.
+        The result of `RandomElastic.draw`, or of `Deformation.from_recipe` with its recipe.
     image : array of shape (H, W[, C]) or (Z, H, W[, C]), optional
     labels : array of shape (H, W[, C]) or (Z, H, W[, C]), optional
-            Sampled by the nearest label.
+        Sampled by the nearest label.
     points : array_like, shape (N, D), optional
         In samples, x first: the first sample is at 0.
     boxes : array_like, shape (N, 2 D), optional

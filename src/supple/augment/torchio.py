@@ -36,7 +36,7 @@ class RandomElastic(RandomTransform, SpatialTransform):
     image_interpolation : str
         ``"linear"``, ``"cubic"`` or ``"nearest"``.
     label_interpolation : str
-            As for images; ``"nearest"`` keeps labels as they are.
+        As for images; ``"nearest"`` keeps labels as they are.
     outside : str
         The boundary mode, where the border is free: ``"edge"``, ``"reflect"``, or ``"constant"`` for 0.
     **kwargs
@@ -87,7 +87,7 @@ class Elastic(SpatialTransform):
     Raises
     ------
     SuppleError
-            If an argument is invalid; or, when applied, if the recipe is for another size than the subject's.
+        If an argument is invalid; or, when applied, if the recipe is for another size than the subject's.
     """
 
     def __init__(

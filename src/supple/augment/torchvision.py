@@ -46,7 +46,7 @@ class RandomElastic(v2.Transform):
     Raises
     ------
     SuppleError
-            If an argument is invalid; or, when applied, if a sample has boxes with a rotation.
+        If an argument is invalid; or, when applied, if a sample has boxes with a rotation.
     """
 
     def __init__(

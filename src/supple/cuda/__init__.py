@@ -97,7 +97,7 @@ def start(
     source : array on a GPU
         As in `supple.Deformation.warp`; or a batch (N, …).
     deformations : Deformation or sequence of Deformation
-            One deformation; or, for a batch, a sequence of one for all items or of one for each.
+        One deformation; or, for a batch, a sequence of one for all items or of one for each.
     sampling : Sampling, optional
         How the arrays are sampled; further keywords replace its fields: ``filter="linear"``.
     alpha
@@ -113,8 +113,8 @@ def start(
     Returns
     -------
     Warping
-            The warp, to wait for or to poll. Until it is done, use neither the source nor the result, unless the stream
-            that does waits for it (`Warping.join`).
+        The warp, to wait for or to poll. Until it is done, use neither the source nor the result, unless the stream
+        that does waits for it (`Warping.join`).
     """
     spaces = spaces_of(deformations)
     sampling = Sampling.of(sampling, options, spaces[0].ndim)

@@ -174,7 +174,7 @@ class Certificate:
         The number of points at which a field could not be solved to the tolerance: the error is infinite, as it is
         where strokes could not be.
     folded, outside : int
-            The numbers of solved points at which a field folds, and of those whose solution is beyond a field's grid.
+        The numbers of solved points at which a field folds, and of those whose solution is beyond a field's grid.
     """
 
     error: float = 0.0

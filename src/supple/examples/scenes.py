@@ -36,7 +36,7 @@ class Shot:
     on_fold : str
     outside : str
     cut : int
-            The percentage of a photograph's width that the page first shows unchanged.
+        The percentage of a photograph's width that the page first shows unchanged.
     """
 
     verb: ClassVar[str] = "warp"

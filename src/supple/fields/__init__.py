@@ -51,8 +51,8 @@ class Field:
     interpolation : str
         ``"linear"``; ``"cubic"``, a cubic B-spline through the values; ``"bspline"``, values are its coefficients.
     beyond : str
-            The displacement more than half a sample outside the grid: none (``"zero"``, as in ITK), or that of the
-            nearest point of the ``"edge"``.
+        The displacement more than half a sample outside the grid: none (``"zero"``, as in ITK), or that of the
+        nearest point of the ``"edge"``.
 
     Raises
     ------
@@ -161,7 +161,7 @@ class Field:
         Raises
         ------
         SuppleError
-                If the grid has another number of axes, or does not overlap the field and the region that it maps to.
+            If the grid has another number of axes, or does not overlap the field and the region that it maps to.
         """
         n = self.ndim
         tolerance = number("tolerance", tolerance, "a number of voxels above 0", 1e-9, 1e9)
@@ -334,16 +334,16 @@ class Inverted:
     Parameters
     ----------
     field : Field
-            The inverse, interpolated linearly between its samples. At a sample that is not ``OK``, it is the best point
-            that was computed.
+        The inverse, interpolated linearly between its samples. At a sample that is not ``OK``, it is the best point
+        that was computed.
     error : float32 array, of the grid's shape
-            A bound on the distance of x from the true inverse of the interpolant, in the grid's units (millimetres);
-            inf where there is none.
+        A bound on the distance of x from the true inverse of the interpolant, in the grid's units (millimetres);
+        inf where there is none.
     status : uint8 array, of the grid's shape
-            For each sample: `OK`, if x is on the field's grid, and the only preimage, counting the continuation of the
-            field beyond its edge; `FOLDED`, if there may be several preimages, as a folded cell maps here, perhaps one
-            beyond the grid; `OUTSIDE`, if x is beyond the grid, where the field is continued; or `UNCONVERGED`, if no x
-            was within the tolerance.
+        For each sample: `OK`, if x is on the field's grid, and the only preimage, counting the continuation of the
+        field beyond its edge; `FOLDED`, if there may be several preimages, as a folded cell maps here, perhaps one
+        beyond the grid; `OUTSIDE`, if x is beyond the grid, where the field is continued; or `UNCONVERGED`, if no x
+        was within the tolerance.
     """
 
     field: Field
@@ -368,7 +368,7 @@ class Placed:
     Parameters
     ----------
     map : Field, Affine or Projective
-            From a point of the output to its source point in the input (pull).
+        From a point of the output to its source point in the input (pull).
     inverse : bool
         Whether to apply the inverse (push).
     after : int
@@ -459,8 +459,8 @@ def to_sitk(*maps: Map) -> Any:
     Parameters
     ----------
     *maps : Field or Affine
-            In millimetres in LPS, or in the units of images with two axes. The continuation of a field beyond its grid
-            is lost: ITK moves nothing there.
+        In millimetres in LPS, or in the units of images with two axes. The continuation of a field beyond its grid
+        is lost: ITK moves nothing there.
 
     Returns
     -------
@@ -470,7 +470,7 @@ def to_sitk(*maps: Map) -> Any:
     Raises
     ------
     SuppleError
-            If an argument is neither, or a field has ``"cubic"`` interpolation.
+        If an argument is neither, or a field has ``"cubic"`` interpolation.
     """
     if not maps or not all(isinstance(each, Field | Affine) for each in maps):
         refuse("maps", "one or more of Field and Affine", maps)
@@ -513,15 +513,15 @@ def compose(maps: Sequence[Map | Placed], grid: Grid) -> Field:
     Raises
     ------
     SuppleError
-            If a map has another number of axes than the grid; or a field does not overlap the grid, or the region to
-            which the maps before it lead.
+        If a map has another number of axes than the grid; or a field does not overlap the grid, or the region to
+        which the maps before it lead.
 
     Warns
     -----
     FoldWarning
         If a field that is inverted folds.
     OutsideWarning
-            If no point of an inverted field's grid is mapped to some of the samples.
+        If no point of an inverted field's grid is mapped to some of the samples.
     """
     n = check_grid(grid).ndim
     given = [each if isinstance(each, Placed) else Placed(each) for each in maps]

@@ -30,12 +30,12 @@ class Consistency:
     Parameters
     ----------
     count : int
-            The number of samples that the first field maps into the second one's grid: only these are measured.
+        The number of samples that the first field maps into the second one's grid: only these are measured.
     outside : int
         The number of the other samples.
     largest, percentile, mean : float
-            The maximum, the 99th percentile and the mean of the distances, in the grid's units (millimetres); NaN where
-            `count` is 0.
+        The maximum, the 99th percentile and the mean of the distances, in the grid's units (millimetres); NaN where
+        `count` is 0.
     """
 
     count: int
@@ -58,14 +58,14 @@ class FieldReport:
     cells : int
         The number of cells of the interpolant: the boxes between neighbouring samples.
     folded : int
-            The number of cells in which det(I + ∂u/∂x) is not proved to be above 0, by bounds that hold in the whole
-            cell, not only at samples.
+        The number of cells in which det(I + ∂u/∂x) is not proved to be above 0, by bounds that hold in the whole
+        cell, not only at samples.
     determinant : float
-            The least det(I + ∂u/∂x) that was computed. For a linear interpolant, over the corners of all cells, from
-            inside each cell: in the plane, this is the minimum; in space, values within a cell may be lower. For a
-            spline, over the samples.
+        The least det(I + ∂u/∂x) that was computed. For a linear interpolant, over the corners of all cells, from
+        inside each cell: in the plane, this is the minimum; in space, values within a cell may be lower. For a
+        spline, over the samples.
     at : tuple of float
-            The position of ``determinant``, x first.
+        The position of ``determinant``, x first.
     negative : int
         The number of samples at which the determinant by central differences (`Field.log_jacobian`) is not above 0.
     consistency : Consistency, optional

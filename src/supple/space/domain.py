@@ -84,7 +84,7 @@ class Domain:
         Whether the first of three axes is time. A drag along time alone, without a Poisson ratio, then has no
         displacement across it.
     freeze : Freeze, optional
-            The freeze mask, of as many axes; for a clip, it may have two axes and apply to every frame.
+        The freeze mask, of as many axes; for a clip, it may have two axes and apply to every frame.
     """
 
     shape: tuple[int, ...]

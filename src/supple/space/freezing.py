@@ -70,7 +70,7 @@ class Freeze:
     Raises
     ------
     SuppleError
-            If the arguments do not fit together.
+        If the arguments do not fit together.
     """
 
     samples: Shape
@@ -125,9 +125,9 @@ class Freeze:
         Parameters
         ----------
         mask : array, shape (H, W) or (Z, H, W)
-                bool: True is frozen. Floats from 0 to 1: 1 is frozen. Whole numbers from 0: the largest value of the
-                type is frozen (255 of uint8), or the larger of two values if there are only two. Values in between let
-                a part of the displacement through.
+            bool: True is frozen. Floats from 0 to 1: 1 is frozen. Whole numbers from 0: the largest value of the
+            type is frozen (255 of uint8), or the larger of two values if there are only two. Values in between let
+            a part of the displacement through.
         width : float, optional
             The width of the fade beside what is frozen, in physical units: at least 4 samples. By default a 32nd of
             the shortest side.
@@ -136,8 +136,8 @@ class Freeze:
         place, name
             As in `Freeze`.
         matte : bool
-                Whether it is a matte (`Stroke.matte`), where white is free and black is frozen. Black samples do not
-                move at all; the fade is inside the white.
+            Whether it is a matte (`Stroke.matte`), where white is free and black is frozen. Black samples do not
+            move at all; the fade is inside the white.
 
         Raises
         ------
@@ -242,14 +242,14 @@ class Freeze:
         Parameters
         ----------
         spacing : sequence of float
-                Physical units per sample, x first; three for a clip, in whose frames a mask of two axes is the same.
+            Physical units per sample, x first; three for a clip, in whose frames a mask of two axes is the same.
 
         Returns
         -------
         values : float64 array, shape (nz, ny, nx)
             The coefficients, from 0 to 1.
         first, step : float64 array, shape (3,)
-                The position of the first coefficient, and the distance between coefficients, in physical units.
+            The position of the first coefficient, and the distance between coefficients, in physical units.
         """
         n = self.ndim
         values = self.coefficients.reshape((1,) * (3 - n) + self.size[::-1]) / _FREE
@@ -290,7 +290,7 @@ class Freeze:
         at : sequence of float
             The centre, in samples, x first.
         radius : float
-                In physical units. All samples within it become frozen, or, without ``frozen``, all coefficients free.
+            In physical units. All samples within it become frozen, or, without ``frozen``, all coefficients free.
         spacing : sequence of float
             Physical units per sample, x first.
         frozen : bool

@@ -68,8 +68,8 @@ class Geometry:
     origin : (float, float, float)
         The position of the first voxel, in LPS.
     direction : float64 array, shape (3, 3)
-            Its columns are the directions of the axes, in LPS: of unit length. They may be sheared, as for slices of a
-            tilted gantry.
+        Its columns are the directions of the axes, in LPS: of unit length. They may be sheared, as for slices of a
+        tilted gantry.
     convention : str
         The coordinates of points in the file: ``"LPS"``, or ``"RAS"`` (x to the right, y to the front), as in NIfTI; or
         ``"array"`` without a position in space.

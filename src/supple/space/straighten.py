@@ -34,18 +34,18 @@ class Straighten:
     rotate : float
         Degrees, clockwise on a screen, about the middle of the picture.
     shear : float or (float, float)
-            Degrees by which verticals and, with a second number, horizontals lean: x becomes x + y tan(first), y
-            becomes y + x tan(second), measured from the middle of the picture.
+        Degrees by which verticals and, with a second number, horizontals lean: x becomes x + y tan(first), y
+        becomes y + x tan(second), measured from the middle of the picture.
     keystone : sequence of four points
-            The corners of what should become an upright rectangle, in pixels: top left, top right, bottom right, bottom
-            left. Each of its sides has the mean length of two opposite sides, and its middle stays.
+        The corners of what should become an upright rectangle, in pixels: top left, top right, bottom right, bottom
+        left. Each of its sides has the mean length of two opposite sides, and its middle stays.
     scale_to : int or sequence of int
-            The width of the result in pixels, or its width and height: the picture is not distorted, but its frame gets
-            these proportions. Empty: pixels keep their size.
+        The width of the result in pixels, or its width and height: the picture is not distorted, but its frame gets
+        these proportions. Empty: pixels keep their size.
     fit : str
-            The frame of the result. ``"crop"``: the largest without empty corners, with the proportions of the picture
-            (or of its nearest quarter turn). ``"pad"``: all of the picture, with empty corners. ``"keep"``: that of the
-            picture.
+        The frame of the result. ``"crop"``: the largest without empty corners, with the proportions of the picture
+        (or of its nearest quarter turn). ``"pad"``: all of the picture, with empty corners. ``"keep"``: that of the
+        picture.
     """
 
     rotate: float = 0.0

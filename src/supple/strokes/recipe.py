@@ -36,7 +36,7 @@ class Recipe:
     strokes : iterable of Stroke
         In order of application, all with the same number of coordinates. Hidden ones are not applied.
     size : sequence of int or None
-            The samples along each axis, x first, of the recipe's original medium; as many numbers as coordinates.
+        The samples along each axis, x first, of the recipe's original medium; as many numbers as coordinates.
     space : str or None
         The coordinates of points: ``"pixels"`` (indices, in volumes); or, in volumes, millimetres in ``"LPS"`` or
         ``"RAS"``. None: pixels, unless the reader of the volume determines otherwise.
@@ -123,18 +123,18 @@ class Recipe:
         size : sequence of int
             Samples along each axis, x first.
         how : str, optional
-                Without it, only a size of the same proportions fits, within half a pixel. ``"pixels"``: same
-                coordinates; ``"stretch"``: each axis has its own factor, and the radius is scaled by their geometric
-                mean; ``"inside"``: x and y have the same factor, the largest that fits, and the result is centred.
+            Without it, only a size of the same proportions fits, within half a pixel. ``"pixels"``: same
+            coordinates; ``"stretch"``: each axis has its own factor, and the radius is scaled by their geometric
+            mean; ``"inside"``: x and y have the same factor, the largest that fits, and the result is centred.
         time : bool
             Whether a third axis is time. Only ``"stretch"`` scales it.
         name : str
-                What has this size, for messages.
+            What has this size, for messages.
 
         Raises
         ------
         SuppleError
-                If the size does not fit; or ``how`` is given, and the recipe has no size or is in millimetres.
+            If the size does not fit; or ``how`` is given, and the recipe has no size or is in millimetres.
         """
         size = _checked_size(size, None)
         if how is not None and self.is_world:
@@ -203,7 +203,7 @@ class Recipe:
             Twists of version 2 move points along chords (``chord``), and in clips its strokes are as long in time as in
             space, and move both (``isotropic``).
         resolve : function of dict, optional
-                Replaces references in the JSON object by numbers, as `supple.files.places.Places.resolve` does.
+            Replaces references in the JSON object by numbers, as `supple.files.places.Places.resolve` does.
 
         Raises
         ------

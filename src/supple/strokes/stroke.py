@@ -72,15 +72,15 @@ class Stroke:
     scales : int
         1 reaches farthest (fading as 1/r), 2 fades as 1/r³, 3 as 1/r⁵.
     reach : float or None
-            The reach in radii, from 1: farther than that from the path of its points, the displacement is exactly 0.
-            None: unlimited, as in the paper.
+        The reach in radii, from 1: farther than that from the path of its points, the displacement is exactly 0.
+        None: unlimited, as in the paper.
     time_radius : float or None
-            In a clip, the brush's radius in time, in frames: the brush is an ellipsoid, and its reach is a multiple of
-            both radii. None: the larger of the drag in time and an eighth of the clip, but at most the radius in frames
-            (`supple.strokes.time_radius_of`).
+        In a clip, the brush's radius in time, in frames: the brush is an ellipsoid, and its reach is a multiple of
+        both radii. None: the larger of the drag in time and an eighth of the clip, but at most the radius in frames
+        (`supple.strokes.time_radius_of`).
     flat : float
-            For a grab with a reach: the fraction of its radius, in space and time, up to 0.9, within which everything
-            moves as its point does.
+        For a grab with a reach: the fraction of its radius, in space and time, up to 0.9, within which everything
+        moves as its point does.
     brush : str
         ``"grab"`` moves the pivot by the drag. The others are affine at the pivot, and fade with the distance:
         ``"twist"`` turns it by the angle; ``"scale"`` magnifies it by the factor (in a clip, in x and y alone);
@@ -88,23 +88,23 @@ class Stroke:
             inverse's root along both axes across). ``"freeze"`` moves nothing: its ``matte`` replaces the freeze mask
             for later strokes, which move nothing where it is 0 (`Stroke.freeze` makes one).
     angle : float or None
-            For a twist: degrees, from x towards y; in a volume, right-handed about the axis.
+        For a twist: degrees, from x towards y; in a volume, right-handed about the axis.
     factor : float or None
-            For a scale or a pinch: above 1, it bloats or stretches; below 1, it puckers or squeezes.
+        For a scale or a pinch: above 1, it bloats or stretches; below 1, it puckers or squeezes.
     axis : sequence of float or None
-            For a twist with three coordinates, or a pinch: a direction, in samples. None: z or time; or x.
+        For a twist with three coordinates, or a pinch: a direction, in samples. None: z or time; or x.
     chord : bool
-            For a twist: whether points move along chords, and so nearer to the pivot, as in recipes before version 3.
-            Otherwise they keep their distance from the pivot.
+        For a twist: whether points move along chords, and so nearer to the pivot, as in recipes before version 3.
+        Otherwise they keep their distance from the pivot.
     isotropic : bool
-            In a clip, whether time is like a direction in space, as in recipes before version 3: the radius in time
-            equals that in space, and a drag in the plane moves points in time as well. Otherwise a drag in the plane
-            moves nothing in time, and one in time nothing in the plane, unless ``poisson`` is given.
+        In a clip, whether time is like a direction in space, as in recipes before version 3: the radius in time
+        equals that in space, and a drag in the plane moves points in time as well. Otherwise a drag in the plane
+        moves nothing in time, and one in time nothing in the plane, unless ``poisson`` is given.
     also : sequence of (sequence of float, sequence of float)
-            For a grab: further points and their drags, in samples, applied at once, so that each point arrives; a point
-            with a drag of 0 is a pin.
+        For a grab: further points and their drags, in samples, applied at once, so that each point arrives; a point
+        with a drag of 0 is a pin.
     path : sequence of sequences of float
-            For a grab: the points through which its point is dragged, in samples. None: a straight line.
+        For a grab: the points through which its point is dragged, in samples. None: a straight line.
     hidden : bool
         Whether it is kept in the recipe, but not applied.
     name : str or None
@@ -113,11 +113,11 @@ class Stroke:
         The applied fraction of the drag, the angle or the factor's logarithm, from -1 (the opposite) to 2; see
         `Deformation.from_recipe`.
     matte : Freeze or None
-            A factor m(p) of its displacement, 1 where it applies in full, in addition to the freeze mask (made by
-            `Freeze.of` and `Freeze.matte_of`); for a freeze, its mask.
+        A factor m(p) of its displacement, 1 where it applies in full, in addition to the freeze mask (made by
+        `Freeze.of` and `Freeze.matte_of`); for a freeze, its mask.
     keys : sequence of Key
-            In a clip, for a stroke with two coordinates: the position of ``at``, the angle, scale and strength in some
-            frames, in ascending order. The whole stroke moves with them; see `Recipe.at_frame`.
+        In a clip, for a stroke with two coordinates: the position of ``at``, the angle, scale and strength in some
+        frames, in ascending order. The whole stroke moves with them; see `Recipe.at_frame`.
     """
 
     at: Place
@@ -235,10 +235,10 @@ class Stroke:
         scales : int
             1: a wide effect, fading as 1/r. 2 and 3: more local, as 1/r³ and 1/r⁵.
         flat : float
-                The fraction of the radius, in space and time, up to 0.9, within which everything moves as the point
-                does; the rest fades as usual. It requires a reach.
+            The fraction of the radius, in space and time, up to 0.9, within which everything moves as the point
+            does; the rest fades as usual. It requires a reach.
         radius, poisson, reach, time_radius, strength
-                As for all brushes (`Deformation`). The reach is measured from the whole path of the point.
+            As for all brushes (`Deformation`). The reach is measured from the whole path of the point.
         """
         start = point("at", at)
         if len(path) and to is None and by is None:
@@ -352,13 +352,13 @@ class Stroke:
         radius : float
             About the distance between the points, or more.
         poisson, reach, time_radius, strength
-                As for all brushes. Frozen points are released, with a warning; if two points pull against each other so
-                that they cannot arrive without a fold, an error names both.
+            As for all brushes. Frozen points are released, with a warning; if two points pull against each other so
+            that they cannot arrive without a fold, an error names both.
 
         Warns
         -----
         OutsideWarning, FoldWarning, MissWarning
-                As for all brushes, for its first point.
+            As for all brushes, for its first point.
 
         Examples
         --------
@@ -454,7 +454,7 @@ class Stroke:
         at : sequence of float
             A point of the line or plane, in samples.
         normal : sequence of float
-                The direction across it, in samples; for a stroke with a matte, that of an axis, or SuppleError.
+            The direction across it, in samples; for a stroke with a matte, that of an axis, or SuppleError.
         """
         origin, n = np.array(point("at", at, (self.ndim,))), np.array(point("normal", normal, (self.ndim,)))
         if not n.any():
@@ -579,19 +579,19 @@ class Stroke:
         track : sequence of (int, point)
             The position of a tracked point in some frames, in ascending order (`supple.media.tracks.read_tracks`).
         frame : float, optional
-                The frame in which the stroke is where it is now; its distance to the tracked point in this frame is
-                kept in all frames. By default, the first of the track.
+            The frame in which the stroke is where it is now; its distance to the tracked point in this frame is
+            kept in all frames. By default, the first of the track.
         second : sequence of (int, point)
-                A second point of the same object: the stroke turns and grows with the vector from the first point to
-                this one, in the frames that both have.
+            A second point of the same object: the stroke turns and grows with the vector from the first point to
+            this one, in the frames that both have.
         outside : str
-                ``"fade"``: before and after the track, the stroke fades out within 5 frames, unless it has keys with a
-                strength. ``"hold"``: it stays as it is at the ends of the track.
+            ``"fade"``: before and after the track, the stroke fades out within 5 frames, unless it has keys with a
+            strength. ``"hold"``: it stays as it is at the ends of the track.
 
         Raises
         ------
         SuppleError
-                If the track is empty, the frame is outside it, or the stroke's keys have positions already.
+            If the track is empty, the frame is outside it, or the stroke's keys have positions already.
         """
         choice("outside", outside, ("fade", "hold"))
         places, ends = _track(track, self.ndim), _track(second, self.ndim)

@@ -51,7 +51,7 @@ def pack(
     time : bool
         Whether the third axis is time.
     frames : int
-            The frames of the clip, from which rows get their stretch; 0: it is 1, as the spacing is stretched.
+        The frames of the clip, from which rows get their stretch; 0: it is 1, as the spacing is stretched.
 
     Returns
     -------

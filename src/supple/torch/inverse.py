@@ -28,10 +28,10 @@ class Inverted:
     Parameters
     ----------
     values : tensor, shape (D, *shape) or (N, D, *shape)
-            The inverse displacements, x first, in physical units, of the type of the fields. At a sample that is not
-            OK, it is the best that was computed.
+        The inverse displacements, x first, in physical units, of the type of the fields. At a sample that is not
+        OK, it is the best that was computed.
     error : float32 tensor, shape (*shape) or (N, *shape)
-            A bound on the distance from the true inverse of the interpolant, in physical units; inf where unknown.
+        A bound on the distance from the true inverse of the interpolant, in physical units; inf where unknown.
     status : uint8 tensor, of the shape of ``error``
         For each sample, the number of its name in `supple.fields.STATUS`: ``"ok"``, ``"folded"``, ``"outside"`` or
         ``"unconverged"``, as in `supple.fields.Inverted`.
@@ -64,13 +64,13 @@ def invert(
     Parameters
     ----------
     values : float32 or float64 tensor, shape (2, H, W), (N, 2, H, W), (3, Z, H, W) or (N, 3, Z, H, W)
-            The displacements, x first, in physical units, along the axes of the tensor. A shape of (3, 2, H, W) is read
-            as three fields in the plane: one volume of two slices needs a batch axis.
+        The displacements, x first, in physical units, along the axes of the tensor. A shape of (3, 2, H, W) is read
+        as three fields in the plane: one volume of two slices needs a batch axis.
     spacing : float or sequence of float
         Physical units from a sample to the next; one for all axes, or one for each, x first.
     interpolation : str
-            ``"linear"``; ``"cubic"``, a cubic B-spline through the values; ``"bspline"``, the values are coefficients,
-            and the result lacks the first and the last along each axis, as these lie beyond the field.
+        ``"linear"``; ``"cubic"``, a cubic B-spline through the values; ``"bspline"``, the values are coefficients,
+        and the result lacks the first and the last along each axis, as these lie beyond the field.
     beyond : str
         The displacement outside the grid: that of the nearest point of the ``"edge"``, or ``"zero"``.
     tolerance : float
@@ -88,8 +88,8 @@ def invert(
     Warns
     -----
     FoldWarning, OutsideWarning, ToleranceWarning
-            If gradients are wanted, and are zero at samples whose status is folded, unconverged, or, for fields that
-            are zero beyond their grid, outside.
+        If gradients are wanted, and are zero at samples whose status is folded, unconverged, or, for fields that
+        are zero beyond their grid, outside.
 
     Notes
     -----
