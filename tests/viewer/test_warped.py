@@ -225,7 +225,7 @@ def at_actual_size(view: Any, hand: Hand, pixels: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("software", [True, False])
-def test_during_a_drag_pixels_are_those_of_the_export(
+def test_during_a_drag_pixels_are_near_those_of_the_export_and_the_same_after_it(
     gpu: Gpu, monkeypatch: pytest.MonkeyPatch, software: bool
 ) -> None:
     if not gpu.software and software:
@@ -242,8 +242,8 @@ def test_during_a_drag_pixels_are_those_of_the_export(
         hand.canvas.draw()
         width, height = (int(n) for n in view.area)
         wanted = view.document.deformation.warp(pixels, alpha=False)[y0 : y0 + height, x0 : x0 + width].astype(int)
-        if software:  # however slow the device is
-            np.testing.assert_array_equal(pixels_of(view.gpu, view._textures[0]), wanted)
+        if software:  # however slow the device is; the filter is cubic
+            assert np.abs(pixels_of(view.gpu, view._textures[0]) - wanted).max() <= 2
     hand.release(345, 275)
     assert len(view.document.strokes) == 2
     seen = view.pixels()
