@@ -160,7 +160,7 @@ class Picture:
 
 
 def check_target(path: PathLike) -> None:
-    """Raise SuppleError for a name whose suffix is not in `supple.media.image.pictures.SUFFIXES_OUT`."""
+    """Raise SuppleError for a name whose suffix is not in `supple.media.pictures.SUFFIXES_OUT`."""
     suffix = Path(path).suffix
     check_suffix(path, suffix, pictures.OUT, "is no image format", f"use {', '.join(pictures.OUT)}")
 
@@ -353,7 +353,7 @@ def write(
     Parameters
     ----------
     path : str or os.PathLike
-        One of `supple.media.image.pictures.SUFFIXES_OUT`.
+        One of `supple.media.pictures.SUFFIXES_OUT`.
     pixels : ndarray or Picture
         Shape (H, W) or (H, W, C): uint8, uint16, and for TIFF also floats and integers up to 32 bits. Contiguous arrays
         are not copied. A picture is its own ``like``, unless another is given.
@@ -367,7 +367,7 @@ def write(
     lossless : bool
         Whether to write without loss; PNG and TIFF always do, JPEG cannot. WebP does if `like` is one without loss.
     compression : str, optional
-        One of `supple.media.image.pictures.COMPRESSIONS`: of TIFF and PNG a method or a level of deflate from 0 to 9;
+        One of `supple.media.pictures.COMPRESSIONS`: of TIFF and PNG a method or a level of deflate from 0 to 9;
         ``"fast"`` is the fastest. By default as in `like` for TIFF, or deflate.
     force : bool
         Whether to replace an existing file.

@@ -255,13 +255,18 @@ def _appended(path: PathLike, parts: Sequence[PathLike]) -> Folder:
             base = file.seek(0, os.SEEK_END) if part is not path else 0
             with open(part, "rb") as held:
                 reader = Reader(held)
+                reader.room = reader.size  # of a file of ours, which may have millions of tiles
                 for entry in reader.entries(reader.first)[0]:
-                    tag, value = reader.form.number(entry[:2]), reader.value(entry)
-                    if tag in (_LENGTH, *_OFFSETS, *_COUNTS) and value is not None:
+                    tag = reader.form.number(entry[:2])
+                    if tag in (_LENGTH, *_OFFSETS, *_COUNTS):
+                        value = reader.value(entry)
+                        assert value is not None
                         numbers.setdefault(tag, []).extend(n + base * (tag in _OFFSETS) for n in value.integers)
                 if part is not path:
                     held.seek(0)
                     shutil.copyfileobj(held, file)
+            if part is not path:
+                os.unlink(part)  # the disk may have no room for both
     numbers[_LENGTH] = [sum(numbers[_LENGTH])]
     return {tag: Value(4, np.array(some, "<u4").tobytes()) for tag, some in numbers.items()}
 
