@@ -34,6 +34,7 @@ supple warp photo.jpg out.png --scale 90,80:1.3 --scale 300,80:1.3 --twist 195,1
 supple warp photos/ bent/ --recipe strokes.json
 supple warp clip.mp4 late.mp4 --grab 350,120,38:350,120,52 --radius 60
 supple warp frames/%05d.png bent/%05d.png --recipe strokes.json
+supple warp clip.mp4 nose.mp4 --scale 345,58:1.6 --radius 24 --track nose.csv --track-frame 10
 supple warp head.nii.gz bent.nii.gz --grab 45,88,62:45,76,58 --radius 40
 supple warp cells.zarr bent.zarr --recipe strokes.json --workers 8
 supple warp moving.nii.gz seen.nii.gz --affine 0GenericAffine.mat --field 1Warp.nii.gz --reference fixed.nii.gz

@@ -5,11 +5,12 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 from supple.errors import JSON, SuppleError, shown, spelling
 from supple.files.options import PathLike
-from supple.media.files import check_output, head_of, is_store, replacing, unreadable
+from supple.media.files import check_output, is_store, replacing, unreadable
 from supple.media.pictures import SUFFIXES as PICTURES
 from supple.media.suffixes import CLIPS, CLIPS_OUT, VOLUMES, VOLUMES_OUT, suffix_of
 from supple.media.timecode import PATTERN
@@ -38,9 +39,13 @@ def read_recipe(
     """
     name = shown(path)
     try:
-        text = head_of(path, -1, _GIVE, _GIVE).decode("utf-8-sig")
+        text = Path(path).read_bytes().decode("utf-8-sig")  # of a pipe, too
+    except OSError as error:
+        raise unreadable(path, error.strerror or str(error), _GIVE) from error
     except UnicodeDecodeError as error:
         raise unreadable(path, "it is no text", _GIVE) from error
+    except ValueError as error:
+        raise unreadable(path, "no file can have that name", "check it") from error
     try:
         if frames is not None:
             text = _TIMECODE.sub(lambda code: code[0] if code[1] else str(frames(name, code[2])), text)

@@ -213,11 +213,12 @@ def evened(samples: Array, spacing: Sequence[float]) -> Array:
     """
     for axis, step in enumerate(reversed(spacing)):
         if step > COARSE * min(spacing):
-            slices, made = np.moveaxis(samples, axis, 0), np.empty_like(samples)
-            for k, into in enumerate(np.moveaxis(made, axis, 0)):
-                near = slices[max(k - 1, 0)], slices[k], slices[min(k + 1, len(slices) - 1)]
-                mean = np.tensordot(np.array([1, 4, 1], np.float32), np.asarray(near, np.float32), 1) / 6
-                into[...] = np.rint(mean) if samples.dtype.kind in "iu" else mean
+            made, near = np.empty_like(samples), np.arange(samples.shape[axis])[:, None] + (-1, 1)
+            near = near.clip(0, len(near) - 1).T
+            for k, here in enumerate(samples):
+                ends = (samples[i[k]] if axis == 0 else here.take(i, axis - 1) for i in near)
+                mean = (4 * here.astype(np.float32) + sum(end.astype(np.float32) for end in ends)) / 6
+                made[k] = np.rint(mean) if samples.dtype.kind in "iu" else mean
             samples = made
     return samples
 

@@ -143,7 +143,7 @@ _BETWEEN = (
     "How an export samples between two frames: flow, the usual way where OpenCV is installed, follows their motion. "
     "Here, they are mixed, as by linear"
 )
-_WAYS = "None of these loses anything. From 0, none, to 9, the smallest and slowest; fast takes least time"
+_WAYS = "All of these are lossless. From 0, none, to 9, the smallest and slowest; fast takes least time"
 _FILTER = "Average over several frames where strokes speed time up: motion blur instead of jagged edges"
 
 
