@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import threading
 from pathlib import Path
 
 import numpy as np
@@ -93,3 +94,11 @@ def test_the_photographs_are_small_and_their_licences_named() -> None:
     assert len(pictures) == 3
     assert all(f"`{picture.name}`" in text for picture in pictures)
     assert sum(picture.stat().st_size for picture in pictures) < 400_000
+
+
+def test_a_recipe_comes_from_a_pipe(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    writer = threading.Thread(target=(tmp_path / "pipe").write_text, args=[RECIPE.to_json()])
+    writer.start()
+    assert read_recipe(tmp_path / "pipe") == RECIPE
+    writer.join()

@@ -509,3 +509,26 @@ def test_an_interrupt_leaves_nothing(here: Path) -> None:
     assert seen[0][0] == "read"
     assert seen[-1][2] == SHAPE[0]
     assert [p.name for p in here.iterdir()] == ["in.nii"]
+
+
+@pytest.mark.parametrize("name", ["linear", "nearest"])
+def test_slabs_that_flow_into_a_file_are_those_of_the_whole(
+    here: Path, name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    voxels = np.random.default_rng(4).integers(-900, 900, (37, 12, 11)).astype(np.int16)
+    nibabel.save(nibabel.Nifti1Image(voxels.T, np.diag([1.0, 1.0, 2.0, 1.0])), here / "in.nii")
+    stroke = supple.Stroke.grab((5, 6, 18), by=(1, 1.5, 2), radius=8)
+    warp_volume(here / "in.nii", here / "out.nii.gz", supple.Recipe(strokes=[stroke]), filter=name)
+    wanted = supple.Deformation(voxels.shape, spacing=(1, 1, 2)).add(stroke).warp(voxels, filter=name)
+    np.testing.assert_array_equal(np.asarray(nibabel.load(here / "out.nii.gz").dataobj).T, wanted)
+    counted, plain = iter(range(2)), volumes.warp_array
+
+    def failing(*given: Any, **options: Any) -> Any:
+        if next(counted, None) is None:
+            raise SuppleError("a later slab fails")
+        return plain(*given, **options)
+
+    monkeypatch.setattr(volumes, "warp_array", failing)
+    with pytest.raises(SuppleError, match="later slab"):
+        warp_volume(here / "in.nii", here / "bad.nii", supple.Recipe(strokes=[stroke]), filter=name)
+    assert sorted(path.name for path in here.iterdir()) == ["in.nii", "out.nii.gz"]
