@@ -286,6 +286,23 @@ def test_skipping_empty_bricks_changes_nothing(monkeypatch: pytest.MonkeyPatch) 
             assert a.samples.sum() < (0.7 if transfer is HARD else 1.0) * b.samples.sum()
 
 
+@pytest.mark.parametrize(
+    ("spacing", "azimuth", "elevation", "side"),
+    [
+        ((1.2195738529852205, 1.7830271790112067, 1.261963078586175), 137.3374557503712, 0.45635402334055345, 342),
+        ((1.435688806641806, 1.1230393461856043, 2.2493664663422064), 72.66251447334237, 36.51394253052837, 321),
+    ],
+)
+def test_rays_end_where_rounding_has_their_last_step_before_their_end(
+    spacing: Any, azimuth: float, elevation: float, side: int
+) -> None:
+    z, y, x = np.mgrid[:48, :64, :80]
+    ball = ((x - 40) / 20) ** 2 + ((y - 32) / 18) ** 2 + ((z - 24) / 12) ** 2 < 1
+    scene = Scene((100 * ball).astype(np.int16), Geometry(spacing=spacing), shaded=False)
+    camera = scene.framed(Camera(azimuth, elevation), (side, side))
+    assert scene.render(camera, (side, side)).light[..., 3].max() > 0.5
+
+
 def test_exact_scenes_share_their_bricks() -> None:
     samples, geometry = cloud(), Geometry()
     first = Scene(samples, geometry, mode="exact")

@@ -325,7 +325,7 @@ private:
                 rounded_up((end.all - base) * look.per_step);  // the remaining steps before the end may be visible
             const Floats next =
                 least(Floats(count + most(rounded_up(leave * look.per_step - 1e-3f), Floats{} + 1)), last);
-            live &= ~(left & (t >= end.all));
+            live &= ~(left & ((t >= end.all) | (last <= count)));  // by rounding, both may differ
             count = left ? next : count;
             hopped |= left;
             left &= live & ~moved(at(look, 0));

@@ -93,7 +93,7 @@ def warn_of_still(strokes: Sequence[Stroke]) -> None:
     for i, stroke in enumerate(strokes):
         if stroke.is_still and not stroke.hidden and stroke.brush != "freeze":
             which = f"stroke {i + 1} of {len(strokes)}: " if len(strokes) > 1 else ""
-            text = f"{which}{described(stroke)} moves nothing: give it another target, or leave it out"
+            text = f"{which}{described(stroke)} moves nothing: give it another amount, or leave it out"
             warnings.warn(text, OutsideWarning, stacklevel=caller())
 
 
