@@ -1,4 +1,4 @@
-"""What sampling takes: a packed map, the layout of frames, and a job of both, with options, in the core's form."""
+"""Arguments of sampling, in the core's form: a packed map, the layout of frames, and a job of both, with options."""
 
 from __future__ import annotations
 

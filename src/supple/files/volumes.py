@@ -404,11 +404,8 @@ def _written(volume: Volume, like: Volume, job: Job, space: Space, sampling: Sam
 
     def slabs() -> Iterator[Array]:
         nonlocal certificate
-        buffer, whole, depth = (
-            np.empty((_SLAB, *like.samples.shape[1:]), dtype),
-            space.grid or volume.grid,
-            space.out[0],
-        )
+        buffer = np.empty((_SLAB, *like.samples.shape[1:]), dtype)
+        whole, depth = space.grid or volume.grid, space.out[0]
         for z in range(0, depth, _SLAB):
             out = buffer[: depth - z]
             part = replace(space, grid=whole.crop((0, 0, z), (*whole.sizes[:2], len(out))))

@@ -346,11 +346,12 @@ def pulled(stroke: Stroke, domain: Domain, on_fold: FoldPolicy) -> Resolved:
     table["pivot"], table["force"] = (padded(some, domain) for some in zip(*stroke.handles, strict=True))
     table["joined"][1:] = 1
     start, goal = table["pivot"].copy(), table["pivot"] + table["force"]
-    frozen = np.minimum(freedom_at(start, domain), freedom_at(goal, domain)) <= FREE_ENOUGH
+    free = freedom_at(start, domain)
+    frozen = np.minimum(free, freedom_at(goal, domain)) <= FREE_ENOUGH
     frozen &= (start != goal).any(axis=1)
     if frozen.any():
         return _without(stroke, frozen, domain, on_fold)
-    held = freedom_at(start, domain) if stroke.name == "push" else np.ones(len(start))
+    held = free if stroke.name == "push" else np.ones(len(start))
     goal = start + held[:, None] * (goal - start)  # to arrive at the edge, it would leave a notch beside it
     _check_handles(stroke, start, goal, domain, arrives=on_fold == "flow")
     if on_fold == "flow":

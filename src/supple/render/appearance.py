@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -15,7 +14,7 @@ from supple.arrays import warp_array
 from supple.deformation import Deformation
 from supple.engine.sampling import Sampling
 from supple.engine.work import Array
-from supple.errors import SuppleError, need
+from supple.errors import SuppleError
 from supple.gpu.solid import Lattice
 from supple.render.box import Clip, box_of
 from supple.render.camera import Projection
@@ -120,10 +119,9 @@ def _parts(seen: npt.NDArray[np.uint8]) -> tuple[Array, npt.NDArray[np.intp]]:
 
     The number 0 is that of all other voxels.
     """
-    need("volume", "parts of volumes", "SimpleITK")
-    import SimpleITK
+    from supple.media.volume.itk import imported  # here, as it takes time
 
-    itk: Any = SimpleITK
+    itk = imported()
     labels = itk.GetArrayFromImage(itk.ConnectedComponent(itk.GetImageFromArray(seen)))
     return labels, np.bincount(labels.reshape(-1))
 
@@ -144,14 +142,14 @@ def without_table(samples: Array, spacing: Sequence[float]) -> tuple[Array, floa
     """
     dense = (samples >= SKIN).astype(np.uint8)
     labels, sizes = _parts(dense)
-    import SimpleITK
-
-    itk: Any = SimpleITK
     if len(sizes) < 3:
         return samples, 0.0
     body = int(sizes[1:].argmax()) + 1
     radius = [max(1, round(_THIN / step)) for step in spacing]
     # For values 0 and 1 this equals a binary erosion, in less than half of the time.
+    from supple.media.volume.itk import imported
+
+    itk = imported()
     core = itk.GetArrayFromImage(itk.GrayscaleErode(itk.GetImageFromArray(dense), radius, itk.sitkBox))
     own = labels == body
     ends = (np.flatnonzero(own.any(axis=tuple({0, 1, 2} - {axis})))[[0, -1]] for axis in range(3))

@@ -1,4 +1,4 @@
-"""What image formats hold, and arrays as libvips takes them."""
+"""The contents of image formats, and arrays as libvips takes them."""
 
 from __future__ import annotations
 

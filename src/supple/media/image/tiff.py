@@ -249,24 +249,23 @@ def parts(height: int, size: int, threads: int, options: dict[str, Any]) -> list
 
 def _appended(path: PathLike, parts: Sequence[PathLike]) -> Folder:
     """Append TIFFs of further rows to a file; return the tags that make all one page."""
-    numbers: dict[int, list[int]] = {}
-    with open(path, "rb+") as file:
-        for part in (path, *parts):
-            base = file.seek(0, os.SEEK_END) if part is not path else 0
+    numbers, base = dict[int, list[int]](), 0
+    for part in (path, *parts):
+        with open(part, "rb") as held:
+            reader = Reader(held)
+            reader.room = reader.size  # of a file of ours, which may have millions of tiles
+            for entry in reader.entries(reader.first)[0]:
+                tag = reader.form.number(entry[:2])
+                if tag in (_LENGTH, *_OFFSETS, *_COUNTS):
+                    value = reader.value(entry)
+                    assert value is not None
+                    numbers.setdefault(tag, []).extend(n + base * (tag in _OFFSETS) for n in value.integers)
+            base += reader.size
+    with open(path, "ab") as file:
+        for part in parts:
             with open(part, "rb") as held:
-                reader = Reader(held)
-                reader.room = reader.size  # of a file of ours, which may have millions of tiles
-                for entry in reader.entries(reader.first)[0]:
-                    tag = reader.form.number(entry[:2])
-                    if tag in (_LENGTH, *_OFFSETS, *_COUNTS):
-                        value = reader.value(entry)
-                        assert value is not None
-                        numbers.setdefault(tag, []).extend(n + base * (tag in _OFFSETS) for n in value.integers)
-                if part is not path:
-                    held.seek(0)
-                    shutil.copyfileobj(held, file)
-            if part is not path:
-                os.unlink(part)  # the disk may have no room for both
+                shutil.copyfileobj(held, file)
+            os.unlink(part)  # the disk may have no room for both
     numbers[_LENGTH] = [sum(numbers[_LENGTH])]
     return {tag: Value(4, np.array(some, "<u4").tobytes()) for tag, some in numbers.items()}
 
