@@ -22,10 +22,9 @@ from supple.gpu.device import open_gpu
 from supple.gpu.memory import wait
 from supple.gpu.plate import Plate, Sight
 from supple.gpu.screen import canvas_texture
-from supple.gpu.solid import Filling, beside, hold
+from supple.gpu.solid import Filling, beside, hold, hold_strokes
 from supple.media.volume import Volume
 from supple.render.camera import Camera
-from supple.render.device import lattice_of
 from supple.render.scene import MODES, Scene
 
 DATA = Path(supple.__file__).parent / "examples" / "data"
@@ -58,7 +57,7 @@ def ways(name: str, head: Volume, look: dict[str, Any], camera: Camera, size: tu
 
 
 def filled(n: int, runs: int) -> Line:
-    """A whole buffer, from a volume that is on the GPU already: the lattice, and all bricks."""
+    """A whole buffer, from a volume that is on the GPU already."""
     gpu = open_gpu()
     d = supple.Deformation((n, n, n), border=None)
     space = d.grab((n / 2, n / 2, n / 2), by=(n / 16, 0, 0), radius=n / 5).space
@@ -66,10 +65,9 @@ def filled(n: int, runs: int) -> Line:
     assert beside(held)
 
     def work() -> None:
-        lattice = lattice_of(gpu, space, 0.05)
-        Filling(held, lattice, polished=lattice.error > 0.05, tolerance=0.05).advance(1e9)
+        Filling(held, hold_strokes(gpu, space.table, space.axes), 0.05).advance(1e9)
 
-    return took(f"buffer of a {n}³ float32 volume: lattice and bricks", work, wall, runs)
+    return took(f"buffer of a {n}³ float32 volume", work, wall, runs)
 
 
 def rate(what: str, draw: Callable[[int], object], count: int, runs: int, bar: float | None = None) -> Line:

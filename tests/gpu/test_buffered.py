@@ -1,4 +1,4 @@
-"""Lattices and buffers of warped volumes on the GPU: what they hold, and when they are filled."""
+"""Buffers of warped volumes on the GPU: what they hold, and when they are filled."""
 
 from __future__ import annotations
 
@@ -14,70 +14,33 @@ from supple.gpu import device as devices
 from supple.gpu import shader, solid
 from supple.gpu.device import Gpu
 from supple.gpu.memory import put
-from supple.render import device as drawing
+from supple.render.appearance import ranged
 from supple.render.camera import Camera
 from supple.render.scene import Scene
-from tests import reference
 from tests.gpu.scenes import GEOMETRY, SHAPE, SIZE, SOFT, apart, texels_of
 
 
-def displaced(nodes: np.ndarray, step: float, point: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return u and ∂p/∂q between the nodes of a lattice, as solid.wgsl has them."""
-    v = np.clip(np.asarray(point, np.float64) / step, 0, np.array(nodes.shape[2::-1]) - 1)
-    i = np.minimum(v.astype(int), np.array(nodes.shape[2::-1]) - 2)
-    s = v - i
-    cell = nodes[i[2] : i[2] + 2, i[1] : i[1] + 2, i[0] : i[0] + 2].reshape(2, 2, 2, 4, 4)[..., :3].astype(np.float64)
-    u, slopes = cell[..., 0, :], cell[..., 1:, :]
-    for axis, k in ((2, 0), (1, 1), (0, 2)):  # x, y and z
-        ends = [np.take(u, n, axis=axis) for n in (0, 1)]
-        tilts = [np.take(slopes, n, axis=axis) for n in (0, 1)]
-        bow = 0.5 * step * s[k] * (1 - s[k]) * (tilts[0][..., k, :] - tilts[1][..., k, :])
-        u = (1 - s[k]) * ends[0] + s[k] * ends[1] + bow
-        slopes = (1 - s[k]) * tilts[0] + s[k] * tilts[1]
-    return u, slopes.T
-
-
-def test_nodes_are_the_inverse_and_its_derivatives(gpu: Gpu, bent: supple.Deformation) -> None:
-    space, strokes = bent.space, reference.carried_out(bent)
-    errors, lengths = [], []
-    for step in (2, 4):
-        lattice = solid.solve(gpu, space.table, space.axes, SHAPE, step)
-        nodes, error, smooth = lattice.nodes, lattice.error, lattice.smooth
-        assert nodes is not None
-        q = step * reference.grid(nodes.shape[:3])
-        p = reference.inverse(strokes, bent.domain, q)
-        np.testing.assert_allclose(nodes[..., :3], p - q, atol=2e-4)
-        columns = np.moveaxis(reference.matrices(strokes, bent.domain, p), -1, -2)
-        np.testing.assert_allclose(nodes[..., 4:].reshape(*q.shape[:3], 3, 4)[..., :3], columns, atol=2e-4)
-        # The error that is seen, with its reserve, is more than that at any voxel.
-        far = reference.grid(SHAPE)
-        found = np.array([displaced(nodes, step, point)[0] for point in far.reshape(-1, 3)[::7]])
-        off = found + far.reshape(-1, 3)[::7] - reference.inverse(strokes, bent.domain, far).reshape(-1, 3)[::7]
-        assert np.linalg.norm(off, axis=1).max() < error
-        errors.append(error)
-        lengths.append(smooth)
-    assert 3 < errors[1] / errors[0] < 30
-    assert lengths[0] == pytest.approx(lengths[1], rel=0.3)
-
-
 @pytest.mark.parametrize("dtype", [np.uint8, np.int8, np.uint16, np.int16, np.float32])
-@pytest.mark.parametrize("polished", [False, True])
 def test_the_buffer_is_the_warped_volume(
-    gpu: Gpu, cloud: np.ndarray, bent: supple.Deformation, dtype: Any, polished: bool
+    gpu: Gpu, cloud: np.ndarray, bent: supple.Deformation, dtype: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     given = (cloud * 200 - (100 if np.dtype(dtype).kind == "i" else 0)).astype(dtype)
     held = solid.hold(gpu, given)
     assert solid.beside(held)
     space = bent.space
-    # What is solved for each voxel does not need a fine lattice.
-    lattice = solid.solve(gpu, space.table, space.axes, SHAPE, 8 if polished else 2)
-    filling = solid.Filling(held, lattice, polished=polished, tolerance=0.01)
+    filling = solid.Filling(held, solid.hold_strokes(gpu, space.table, space.axes), 0.01)
     assert filling.part == 0.0
     assert filling.advance(60.0) == filling.part == 1.0
     wanted = bent.warp(given.astype(np.float32), filter="linear", tolerance=1e-3)
-    away = np.abs(texels_of(gpu, held.warped) - wanted)
+    made = texels_of(gpu, held.warped)
+    away = np.abs(made - wanted)
     assert away.max() < 0.3
     assert np.mean(away) < 0.01
+    for most in (1 << 30, 300):  # bytes of the ranges that are found at a time
+        monkeypatch.setattr(gpu, "binding", most)
+        for ours, theirs in zip(filling.ranges(), ranged(made), strict=True):
+            np.testing.assert_array_equal(ours, theirs)
+        filling._ranges = None
 
 
 def test_hybrid_fills_its_buffer_bit_by_bit(
@@ -86,8 +49,7 @@ def test_hybrid_fills_its_buffer_bit_by_bit(
     exact, hybrid = (
         Scene(cloud, GEOMETRY, deformation=bent, transfer=SOFT, mode=mode, device="gpu") for mode in ("exact", "hybrid")
     )
-    wanted, lattice = exact.render(size=SIZE), hybrid.render(size=SIZE)
-    assert apart(lattice, wanted) > 40
+    wanted = exact.render(size=SIZE)
     parts_of = shader.Pace.parts
 
     def one_at_a_time(self: shader.Pace, total: int, seconds: float = 1.0, limit: float = np.inf) -> Any:
@@ -96,7 +58,7 @@ def test_hybrid_fills_its_buffer_bit_by_bit(
     monkeypatch.setattr(shader.Pace, "parts", one_at_a_time)
     parts = [0.0]
     while parts[-1] < 1:
-        np.testing.assert_array_equal(hybrid.render(size=SIZE).light, lattice.light)  # it is read once it is complete
+        np.testing.assert_array_equal(hybrid.render(size=SIZE).light, wanted.light)  # it is read once it is complete
         parts.append(hybrid.fill(seconds=1e-9))
     assert len(parts) == np.prod([-(-n // 16) for n in SHAPE]) + 1
     assert np.diff(parts).min() > 0
@@ -169,7 +131,7 @@ def test_what_scenes_hold_is_freed(gpu: Gpu) -> None:
 
 @pytest.fixture
 def rough() -> supple.Deformation:
-    """A stroke that is too small for any lattice."""
+    """A stroke smaller than a block of the buffer."""
     return supple.Deformation((30, 30, 30), border=8, on_fold="damp").grab(
         (15, 15, 15), by=(4, 0, 0), radius=2.5, reach=None
     )
@@ -185,8 +147,6 @@ def test_a_buffered_scene_keeps_its_word_beside_others(gpu: Gpu, ball: np.ndarra
     options: dict[str, Any] = {"transfer": SOFT, "mode": "buffered", "tolerance": 0.02}
     ours = Scene(ball, deformation=rough, **options)
     theirs = Scene(ball, deformation=rough, device="gpu", **options)
-    assert theirs._lattice is not None
-    assert theirs._lattice.error > theirs.tolerance  # or this proves nothing
     wanted = ours.render(size=SIZE)
     assert apart(theirs.render(size=SIZE), wanted) > 45
     other = theirs.deformed(rough.grab((15, 8, 15), by=(-6, 3, 5), radius=7, reach=None))
@@ -285,7 +245,7 @@ def test_a_fill_takes_no_longer_than_it_may(gpu: Gpu, monkeypatch: pytest.Monkey
     assert spent(0.0) == 1 / 1024  # one, at least
 
 
-def test_a_fill_that_fails_leaves_the_lattice(
+def test_a_scene_whose_fill_fails_stays_exact(
     gpu: Gpu, cloud: np.ndarray, bent: supple.Deformation, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     scene = Scene(cloud, GEOMETRY, deformation=bent, transfer=SOFT, mode="hybrid", device="gpu")
@@ -304,18 +264,13 @@ def test_a_fill_that_fails_leaves_the_lattice(
             scene.fill(seconds=seconds)  # type: ignore[arg-type]
 
 
-def test_what_does_not_fit_twice_is_a_lattice(
-    gpu: Gpu, cloud: np.ndarray, bent: supple.Deformation, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_does_not_fit_twice_stays_exact(gpu: Gpu, cloud: np.ndarray, monkeypatch: pytest.MonkeyPatch) -> None:
     gentle = supple.Deformation(SHAPE, spacing=GEOMETRY.spacing, border=None, on_fold="damp").grab(
         (13, 14, 11), by=(2, 1, 0), radius=40, reach=None
     )
     asked: list[Any] = []
-    texture = solid.solid
 
     def full(gpu: Gpu, shape: Any, *rest: Any, **options: Any) -> Any:
-        if shape != SHAPE:  # of a lattice
-            return texture(gpu, shape, *rest, **options)
         asked.append(shape)
         raise MemoryError
 
@@ -330,62 +285,3 @@ def test_what_does_not_fit_twice_is_a_lattice(
     assert asked == [SHAPE]
     with pytest.warns(DeviceWarning, match="no memory left for a deformed volume"):
         assert Scene(cloud, GEOMETRY, deformation=gentle, transfer=SOFT, mode="buffered", device="gpu").gpu is None
-    # Nor is there a finer lattice than there is room for.
-    monkeypatch.setattr("supple.gpu.memory.DEEP", 30)
-    with pytest.warns(supple.ToleranceWarning, match="the lattice may be off"):
-        coarse = Scene(cloud, GEOMETRY, deformation=bent, transfer=SOFT, mode="hybrid", device="gpu")
-    assert coarse.gpu is gpu
-    assert coarse.error > coarse.tolerance
-
-
-def test_a_lattice_is_as_fine_as_there_is_room_for(gpu: Gpu, monkeypatch: pytest.MonkeyPatch) -> None:
-    d = supple.Deformation((40, 40, 40), border=None, on_fold="damp").grab(
-        (20, 20, 20), by=(4, -3, 2), radius=9, reach=None
-    )
-    solve, asked = solid.solve, []
-
-    def no_finer(gpu: Gpu, table: Any, axes: Any, shape: Any, step: int, freeze: Any) -> Any:
-        asked.append(step)
-        if step < 4:
-            raise MemoryError
-        return solve(gpu, table, axes, shape, step, freeze)
-
-    monkeypatch.setattr(drawing, "solve", no_finer)
-    found = drawing.lattice_of(gpu, d.space, 0.02)
-    assert asked == [8, 2, 4, 2]
-    assert found.step == found.settings["spread"] == 4
-    assert 0.02 < found.error < 0.5
-
-
-def _of(scene: Scene, point: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """What a scene's lattice says of a point: u and ∂p/∂q."""
-    assert scene._lattice is not None
-    return displaced(scene._lattice.nodes, scene._lattice.step, point)
-
-
-@pytest.mark.parametrize(("radius", "by", "cells"), [(12, (4, -3, 2), 2), (10, (4, -3, 2), 1), (18, (6, -4, 3), 2)])
-def test_the_error_is_that_along_rays(gpu: Gpu, radius: float, by: tuple[float, ...], cells: int) -> None:
-    n = 48
-    d = supple.Deformation((n, n, n), border=None, on_fold="damp").grab((22, 24, 25), by=by, radius=radius, reach=None)
-    scene = Scene(np.zeros((n, n, n), np.float32), deformation=d, mode="hybrid", device="gpu")
-    assert scene._held is not None
-    assert scene._lattice is not None
-    assert scene._held.cells == cells
-    assert scene._lattice is not None
-    rng = np.random.default_rng(0)
-    starts = rng.uniform(0, n - 1, (2000, 3)).astype(np.float32)
-    ways = rng.normal(size=(2000, 3)).astype(np.float32)
-    ways *= min(cells * scene._lattice.step, 8.0) / np.linalg.norm(ways, axis=1)[:, None]
-    points, sources = [], []
-    for start, way in zip(starts, ways, strict=True):
-        if not ((start + way >= 0) & (start + way <= n - 1)).all():
-            continue
-        # As raymarch.wgsl goes along a ray from one end of a stretch to the other.
-        (first, slopes), (last, others) = _of(scene, start), _of(scene, start + way)
-        rise = last - first
-        a, b = slopes @ way - way - rise, rise - others @ way + way
-        for s in (0.25, 0.5, 0.75):
-            points.append(start + s * way)
-            sources.append(points[-1] + first + s * (rise + (1 - s) * ((1 - s) * a + s * b)))
-    seen = np.linalg.norm(d.inverse(np.array(points)).points - np.array(sources), axis=1).max()
-    assert 0.2 * scene.error < seen <= scene.error <= scene.tolerance

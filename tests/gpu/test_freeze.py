@@ -48,18 +48,17 @@ def test_a_rendering_is_the_cpu_s(gpu: Gpu, cloud: np.ndarray, mode: str) -> Non
     assert apart(other, third) < 45
 
 
-@pytest.mark.parametrize("polished", [False, True])
-def test_frozen_voxels_are_those_of_the_volume(gpu: Gpu, cloud: np.ndarray, polished: bool) -> None:
+def test_frozen_voxels_are_those_of_the_volume(gpu: Gpu, cloud: np.ndarray) -> None:
     d = bent_cloud(5)
     space, held_ = d.space, solid.hold(gpu, cloud)
     assert solid.beside(held_)
-    lattice = solid.solve(gpu, space.table, space.axes, SHAPE, 4 if polished else 2, space.freeze)
-    assert solid.Filling(held_, lattice, polished=polished, tolerance=0.01).advance(60.0) == 1.0
+    strokes = solid.hold_strokes(gpu, space.table, space.axes, space.freeze)
+    assert solid.Filling(held_, strokes, 0.01).advance(60.0) == 1.0
     found = texels_of(gpu, held_.warped)
     still = ball(SHAPE, (0.5, 0.35, 0.4), 5)
     np.testing.assert_array_equal(found[still], cloud[still])
     away = np.abs(found - d.warp(cloud, filter="linear", tolerance=1e-3))
-    assert away.max() < (0.02 if polished else 0.1)
+    assert away.max() < 0.02
     assert np.abs(found - cloud).max() > 0.1
 
 

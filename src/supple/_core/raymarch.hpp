@@ -28,7 +28,6 @@ constexpr double LAYER = 4;       // voxels behind a cut face over which its lig
 constexpr float AMBIENT = 0.15f, DIFFUSE = 0.8f, SPECULAR = 0.2f;  // and the highlight's power is 16
 constexpr int TILE = 8;                                            // pixels along a tile's side
 constexpr double NEVER = std::numeric_limits<double>::infinity();
-constexpr int NODE = 16;  // numbers of a lattice's node: u and the columns of ∂p/∂q, each padded with a 0
 
 // The appearance of a volume: a camera, the light, and a transfer function. Lengths are millimetres along the volume's
 // axes, except those of the eye, which is in voxels.
@@ -604,56 +603,5 @@ private:
         }
     }
 };
-
-// ---- visible bricks of a deformed volume ---------------------------------------------------------------------------
-
-// The bricks of the deformed volume that may show a visible brick of the original, by bounds of the displacement.
-// Bricks of the original are `fine` voxels wide: narrower ones give closer bounds, as a displaced brick covers several.
-// `slack` is the largest error of the lattice's bounds, in voxels.
-inline void moved(const float* lattice, const int64_t* nodes, int step, const bool* seen, const int64_t* n, int fine,
-                  float slack, const int64_t* bricks, bool* out) {
-    // Prefix sums, by which the sum over any box of bricks is that of eight numbers.
-    const int64_t row = n[0] + 1, layer = row * (n[1] + 1);
-    std::vector<int64_t> sums(layer * (n[2] + 1));
-    for (int64_t c = 0; c < n[2]; c++)
-        for (int64_t b = 0; b < n[1]; b++) {
-            int64_t* s = &sums[(c + 1) * layer + (b + 1) * row + 1];
-            for (int64_t a = 0, line = 0; a < n[0]; a++, s++) {
-                line += *seen++;
-                *s = line + s[-row] + s[-layer] - s[-layer - row];
-            }
-        }
-    const Float4 last_brick = {float(n[0] - 1), float(n[1] - 1), float(n[2] - 1), 0};
-    for (int64_t e = 0; e < bricks[0] * bricks[1] * bricks[2]; e++) {
-        const int64_t brick[3] = {e % bricks[0], e / bricks[0] % bricks[1], e / (bricks[0] * bricks[1])};
-        int64_t first[3], last[3];  // the nodes around the brick
-        for (int i = 0; i < 3; i++) {
-            first[i] = least(brick[i] * BRICK / step, nodes[i] - 1);
-            last[i] = least((brick[i] * BRICK + BRICK + step - 1) / step, nodes[i] - 1);
-        }
-        Float4 low[4], high[4];  // bounds of u and of the columns of M
-        for (int v = 0; v < 4; v++) low[v] = Float4{} + 1e30f, high[v] = Float4{} - 1e30f;
-        for (int64_t k = first[2]; k <= last[2]; k++)
-            for (int64_t j = first[1]; j <= last[1]; j++)
-                for (int64_t i = first[0]; i <= last[0]; i++)
-                    for (int v = 0; v < 4; v++) {
-                        Float4 value = load<float, 4>(lattice + ((k * nodes[1] + j) * nodes[0] + i) * NODE + 4 * v);
-                        low[v] = least(low[v], value);
-                        high[v] = most(high[v], value);
-                    }
-        // Between nodes, u may differ from the interpolated line by this much, as its slopes differ.
-        Float4 bent = Float4{} + slack, corner = {float(brick[0]), float(brick[1]), float(brick[2]), 0};
-        for (int v = 1; v < 4; v++) bent += 0.125f * step * (high[v] - low[v]);
-        auto brick_at = [&](Float4 p) { return whole(least(most(p / float(fine), Float4{}), last_brick)); };
-        Int4 from = brick_at(corner * BRICK + low[0] - bent),
-             to = brick_at(corner * BRICK + BRICK + high[0] + bent) + 1;
-        auto sum = [&](int z) {
-            const int64_t* s = &sums[z * layer];
-            return s[to[1] * row + to[0]] - s[from[1] * row + to[0]] - s[to[1] * row + from[0]] +
-                   s[from[1] * row + from[0]];
-        };
-        out[e] = sum(to[2]) > sum(from[2]);
-    }
-}
 
 }  // namespace supple

@@ -170,20 +170,20 @@ void raster(const Look& look, Triples points, Array<const float, -1, 3> normals,
 }
 
 // The smallest and the largest sample of each brick, `brick` voxels wide.
-void brick_ranges(Samples samples, int brick, Solid<float> lows, Solid<float> highs) {
+void brick_ranges(Samples samples, Solid<float> lows, Solid<float> highs) {
     const auto n = sizes(samples), bricks = sizes(lows);
     for (int i = 0; i < 3; i++)
-        if (brick < 1 || bricks[i] != most((n[i] - 1 + brick - 1) / brick, int64_t(1)) || sizes(highs)[i] != bricks[i])
+        if (bricks[i] != most((n[i] - 1 + BRICK - 1) / BRICK, int64_t(1)) || sizes(highs)[i] != bricks[i])
             throw nb::value_error("lows and highs must be as many as there are bricks");
-    auto end = [&](int64_t at, int axis) { return least(at * brick + brick + 1, n[axis]); };
+    auto end = [&](int64_t at, int axis) { return least(at * BRICK + BRICK + 1, n[axis]); };
     with_samples(samples, [&]<class T>(const T* data) {
         auto in_layer = [&](int c, int) {
             for (int64_t b = 0, at = c * bricks[0] * bricks[1]; b < bricks[1]; b++)
                 for (int64_t a = 0; a < bricks[0]; a++, at++) {
                     T low = std::numeric_limits<T>::max(), high = std::numeric_limits<T>::lowest();
-                    for (int64_t z = (int64_t)c * brick; z < end(c, 2); z++)
-                        for (int64_t y = b * brick; y < end(b, 1); y++)
-                            for (int64_t x = a * brick; x < end(a, 0); x++) {
+                    for (int64_t z = (int64_t)c * BRICK; z < end(c, 2); z++)
+                        for (int64_t y = b * BRICK; y < end(b, 1); y++)
+                            for (int64_t x = a * BRICK; x < end(a, 0); x++) {
                                 T value = data[(z * n[1] + y) * n[0] + x];
                                 low = least(low, value);
                                 high = most(high, value);
@@ -231,14 +231,6 @@ void brick_distances(Solid<const bool> seen, Solid<uint8_t> out) {
     to_distances(n, out.data());
 }
 
-void brick_moved(Array<const float, -1, -1, -1, -1> nodes, int step, Solid<const bool> seen, int fine, float slack,
-                 Solid<bool> out) {
-    const std::array<int64_t, 3> n = {(int64_t)nodes.shape(2), (int64_t)nodes.shape(1), (int64_t)nodes.shape(0)};
-    if (nodes.shape(3) != NODE || least(n[0], least(n[1], n[2])) < 2 || step < 1)
-        throw nb::value_error("a lattice must be two nodes of 16 numbers along each axis at least");
-    moved(nodes.data(), n.data(), step, seen.data(), sizes(seen).data(), fine, slack, sizes(out).data(), out.data());
-}
-
 }  // namespace
 
 void bind_render(nb::module_& m) {
@@ -255,13 +247,11 @@ void bind_render(nb::module_& m) {
           "See a volume along the rays of pixels: as it is, or through strokes.");
     m.def("raster", &raster, "look"_a, "points"_a, "normals"_a, "triangles"_a, "lines"_a, "colour"_a, "radius"_a,
           "columns"_a, "rows"_a, "out"_a, "Draw a mesh into what the rays of pixels end at.");
-    m.def("brick_ranges", &brick_ranges, "samples"_a, "brick"_a, "lows"_a, "highs"_a,
+    m.def("brick_ranges", &brick_ranges, "samples"_a, "lows"_a, "highs"_a,
           "Find the smallest and the largest sample of bricks.");
     m.def("block_means", &mean_blocks, "samples"_a, "wide"_a, "table"_a, "low"_a, "scale"_a, "out"_a,
           "Find the mean of a table's entries in blocks of samples.");
     m.def("brick_distances", &brick_distances, "seen"_a, "out"_a, "Find how many bricks away the next seen one is.");
-    m.def("brick_moved", &brick_moved, "nodes"_a, "step"_a, "seen"_a, "fine"_a, "slack"_a, "out"_a,
-          "Find the bricks of a deformed volume that show what is seen of the volume.");
     m.def("look_up", &look_up, "samples"_a, "points"_a, "out"_a, "labelled"_a = false,
           "Sample a volume and its gradient at points.");
 }

@@ -35,7 +35,6 @@ LIMITS: dict[str, int] = {
 _BINDINGS = (1 << 30, 512 << 20, 256 << 20, LIMITS["max-storage-buffer-binding-size"])
 """The binding sizes to request, in bytes; the first that is granted is used."""
 
-TEXTURE = 512 << 20  # bytes of the largest texture, unless storage buffers may be larger
 
 _SIZES = ("max-storage-buffer-binding-size", "max-buffer-size")
 
@@ -53,7 +52,6 @@ class Gpu:
     pipelines: dict[Any, Any] = field(repr=False)  # compiled
     lock: Any = field(repr=False)  # held by the one thread that works on the device
     binding: int  # the size of the largest array for a shader, in bytes
-    texture: int  # the size of the largest texture of nodes, in bytes
     lost: bool = False  # whether the device failed; the next `open_gpu` opens a new one
 
 
@@ -171,9 +169,7 @@ def open_gpu(software: bool = True) -> Gpu:
                 reason = f"{adapter.info['device']} cannot be opened ({' '.join(str(error).split())[:100]}): "
                 continue
             name, kind, backend = (str(adapter.info[key]) for key in ("device", "adapter_type", "backend_type"))
-            _opened[k] = Gpu(
-                name, kind == "CPU", backend, device, {}, threading.RLock(), binding, max(binding, TEXTURE)
-            )
+            _opened[k] = Gpu(name, kind == "CPU", backend, device, {}, threading.RLock(), binding)
             return _opened[k]
     raise SuppleError(f"no GPU was found: {reason}{missing()}; {argument('device', 'cpu')} needs none")
 

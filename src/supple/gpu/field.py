@@ -19,7 +19,6 @@ STROKE = structure(source("field"), "Stroke")
 DOMAIN = structure(source("field"), "Domain")
 
 _EXACT = 9  # bits of a rounded step: its multiples up to 2¹⁵ are exact in float32
-_CALM = 8  # the number of values above 0 of a calm (freeze.wgsl): powers of 2, from 1
 
 
 def packed(table: npt.NDArray[np.void]) -> npt.NDArray[np.void]:
@@ -103,15 +102,7 @@ def _calmed(freeze: Mask) -> npt.NDArray[np.uint16]:
         if low.shape[axis] > 1:  # over the four coefficients around each cell
             low = np.minimum.reduce([_shifted(low, axis, k) for k in range(-1, 3)])
             high = np.maximum.reduce([_shifted(high, axis, k) for k in range(-1, 3)])
-    near, calm = low != high, np.zeros(low.shape, np.uint16)
-    for power in range(_CALM):  # cells farther than 2ⁿ - 1 cells from any in which m varies
-        calm[~near] = 1 << power
-        if not near.any():
-            calm[...] = 1 << (_CALM - 1)
-            break
-        for axis in range(3):
-            near = near | _shifted(near, axis, 1 << power) | _shifted(near, axis, -1 << power)
-    made = np.asarray(calm << 8 | freeze.coefficients, np.uint16).reshape(-1)
+    made = np.asarray((low == high) * 256 | freeze.coefficients, np.uint16).reshape(-1)
     return np.pad(made, (0, made.size % 2))  # to whole words
 
 

@@ -11,14 +11,13 @@ import numpy.typing as npt
 
 from supple import _core
 from supple.gpu.memory import download, owned, room, upload, uploaded
-from supple.gpu.shader import FAR, LATTICE, MOST_GROUPS, PLAIN, ROW, Pace, shader, source
-from supple.gpu.solid import Filling, Lattice, Volume
+from supple.gpu.shader import FAR, MOST_GROUPS, PLAIN, ROW, Pace, shader, source
+from supple.gpu.solid import Filling, Strokes, Volume
 
 Floats = npt.NDArray[np.float64]
 Singles = npt.NDArray[np.float32]
 
 RAYS = 1 << 16  # initial number of rays, before their time is known
-LONGEST = 8  # the most samples that share one read of the lattice
 _LARGEST = float(np.finfo(np.float32).max)
 _LOST = "points along rays could not be solved in its numbers"
 
@@ -28,12 +27,17 @@ class Held:
     """The part of a scene on a device."""
 
     volume: Volume
-    lattice: Lattice
-    mode: int  # PLAIN, LATTICE or EXACT; a scene with a buffer becomes plain when that is filled
-    cells: int = 1  # the number of cells of the lattice that a ray may cross with one cubic
-    filling: Filling | None = None  # the buffer, of a hybrid scene
+    strokes: Strokes
+    mode: int  # PLAIN or EXACT
+    filling: Filling | None = None  # the buffer, if there is one: once it is filled, rays sample it
     whole: bool = False  # whether the volume is drawn only when its buffer is filled
     pace: Pace = field(default_factory=lambda: Pace(RAYS))  # the number of rays in one part
+
+    def filled(self) -> Filling | None:
+        """Return the buffer, if rays sample it."""
+        if self.filling is not None and self.whole and self.filling.part < 1.0:
+            self.filling.advance()  # another scene of the volume has replaced it
+        return self.filling if self.filling is not None and self.filling.part == 1.0 else None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -115,19 +119,11 @@ def _rays(
     held: Held, look: Look, size: tuple[int, int], fine: int, ends: Singles | None
 ) -> Iterator[tuple[int, int, Any]]:
     """March rays some rows at a time: yield the first row, the number of rows, and their results."""
-    volume, filling = held.volume, held.filling
-    gpu, finest, (height, width) = volume.gpu, float(look.camera[1].min()), size
-    if held.whole and filling is not None and filling.part < 1.0:
-        filling.advance()  # another scene of the volume has replaced it
-    mode = PLAIN if filling is not None and filling.part == 1.0 else held.mode
-    # The samples that share one read of the lattice: those within its cells.
-    cells = held.cells * held.lattice.step * finest / look.step
+    gpu, (height, width) = held.volume.gpu, size
     eye, _, ahead, right, below = look.camera
     settings = {
-        "bricks": look.skips.shape[::-1],
         "picture": (width, height),
         "fine": fine,
-        "stretch": max(1, min(int(cells), LONGEST)) if mode == LATTICE else LONGEST,
         "entries": len(look.table),
         "top": np.clip(look.top, -_LARGEST, _LARGEST),
         "threshold": np.clip(look.threshold, -_LARGEST, _LARGEST),
@@ -153,7 +149,9 @@ def _rays(
     wide = min(len(look.table) + 1, ROW)
     colours = np.stack([np.pad(look.table, ((0, 1), (0, 0))), look.sums]).astype(np.float32)
     colours = np.pad(colours, ((0, 0), (0, -colours.shape[1] % wide), (0, 0))).reshape(2, -1, wide, 4)
-    textures = [uploaded(gpu, look.skips), uploaded(gpu, np.moveaxis(colours, 1, 0))]
+    skips = look.skips if held.filled() or held.mode == PLAIN else look.skips[:1, :1, :1]  # exact rays skip nothing
+    settings["bricks"] = skips.shape[::-1]
+    textures = [uploaded(gpu, skips), uploaded(gpu, np.moveaxis(colours, 1, 0))]
     if look.arrives.size:
         textures.append(uploaded(gpu, look.arrives))
     with owned(*textures, room(gpu, 32 * rays * most)) as (*_, seen):
@@ -164,32 +162,25 @@ def _rays(
             meshes = np.zeros(4, np.float32) if ends is None else ends[part["first"] :][: part["rows"]]
             with owned(upload(gpu, np.minimum(meshes, np.float32(FAR)))) as (ended,):
                 groups = (-(-width // 8), -(-count * fine // 8), 1)
-                _march(held, mode, groups, settings | part, {**given, "seen": seen, "ends": ended})
+                _march(held, groups, settings | part, {**given, "seen": seen, "ends": ended})
             yield first * fine, count * fine, seen
             pace.count = min(pace.count, most)
     held.pace.count = pace.count * rays
 
 
-def _march(held: Held, mode: int, groups: tuple[int, ...], settings: dict[str, Any], given: dict[str, Any]) -> None:
-    """Run the shader of rays in a mode; settings and resources are given in addition to those of the scene."""
-    volume, lattice, filling = held.volume, held.lattice, held.filling
-    copied, coloured = mode == PLAIN and filling is not None, volume.colours is not None
-    chosen = {"MODE": mode, "WARPED": copied, "LABELLED": volume.labelled, "COLOURED": coloured}
-    work = shader(volume.gpu, source("raymarch", volume.voxel), "march", lattice.constants | chosen)
+def _march(held: Held, groups: tuple[int, ...], settings: dict[str, Any], given: dict[str, Any]) -> None:
+    """Run the shader of rays; settings and resources are given in addition to those of the scene."""
+    volume, strokes, copied = held.volume, held.strokes, held.filled() is not None
+    chosen = {
+        "MODE": PLAIN if copied else held.mode,
+        "WARPED": copied,
+        "LABELLED": volume.labelled,
+        "COLOURED": volume.colours is not None,
+    }
+    work = shader(volume.gpu, source("raymarch", volume.voxel), "march", strokes.constants | chosen)
     own = {
         "voxels": volume.samples,
         "warped": volume.warped and volume.warped.create_view(),
         "paint": volume.colours,
     }
-    work.run(groups, {**lattice.settings, "size": volume.size, **settings}, {**lattice.resources, **own, **given})
-
-
-def prepare(held: Held, filling: Filling) -> None:
-    """Compile later stages of a hybrid scene, so that no frame waits; some drivers compile at the first run."""
-    gpu = held.volume.gpu
-    with owned(uploaded(gpu, np.zeros((1, 1, 1), np.uint8)), room(gpu, 32)) as (skips, seen):
-        given = {"skips": skips.create_view(), "seen": seen, **dict.fromkeys(("colours", "arrives", "ends"))}
-        for mode in (LATTICE, PLAIN):
-            _march(held, mode, (1, 1, 1), {}, given)
-        filling.prepare()
-        download(gpu, seen, np.float32, 8)  # waits
+    work.run(groups, {"strokes": strokes.count, "size": volume.size, **settings}, {**strokes.resources, **own, **given})

@@ -24,11 +24,10 @@ Array = npt.NDArray[Any]
 CELL = 16  # pixels of the window from node to node
 BLOCK = 16  # voxels along a brick's side
 ROW = 2048  # entries of a transfer function in a layer of its texture
-PLAIN, LATTICE, EXACT = 0, 1, 2  # how rays find source points
-LOST, CUT = 1e30, 2e30  # in place of an error: for points without a solution, and for drivers that end loops early
+PLAIN, EXACT = 0, 1  # how rays find source points
 FAR = 3e38  # in place of a depth, where there is none
-_NAMES = ("CELL", "BLOCK", "ROW", "PLAIN", "LATTICE", "EXACT", "LOST", "CUT", "FAR")
-_SHARED: dict[str, float] = _core.constants | {name: globals()[name] for name in _NAMES}
+_NAMES = ("CELL", "BLOCK", "ROW", "PLAIN", "EXACT", "FAR")
+_SHARED: dict[str, float] = _core.constants | {"BRICK": _core.BRICK} | {name: globals()[name] for name in _NAMES}
 
 MOST_GROUPS = 65535
 PART = 0.25  # seconds that a part of some work takes

@@ -1,4 +1,4 @@
-"""A volume on a device: its samples, the lattice of T⁻¹, and the buffer of the deformed volume."""
+"""A volume on a device: its samples, the strokes that move it, and the buffer of the deformed volume."""
 
 from __future__ import annotations
 
@@ -9,11 +9,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from supple._core import BRICK
 from supple.engine.work import Mask
 from supple.gpu.device import Gpu
 from supple.gpu.field import constants, stroke_buffers
-from supple.gpu.memory import Array, download, owned, room, solid, upload, uploaded
-from supple.gpu.shader import BLOCK, CUT, LOST, MOST_GROUPS, Pace, shader, source
+from supple.gpu.memory import Array, download, owned, room, solid, uploaded
+from supple.gpu.shader import BLOCK, MOST_GROUPS, Pace, shader, source
 
 
 @dataclass(slots=True, eq=False)
@@ -60,133 +61,80 @@ def beside(volume: Volume) -> bool:
 
 Floats = npt.NDArray[np.float64]
 
-_NODE = 64  # bytes
-_FIRST = 4096  # initial number of nodes, before their time is known
-_UNSOLVED = "nodes of the lattice could not be solved in its numbers"
-
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Lattice:
-    """Strokes on a device and, for a volume, the lattice of their inverse map."""
+class Strokes:
+    """The strokes of a map on a device, and its domain."""
 
-    constants: dict[str, int]  # the constants with which shaders are compiled for the strokes
-    settings: dict[str, Any]  # the shaders' settings
-    resources: dict[str, Any]  # buffers, and the texture of nodes
-    step: int = 0  # voxels from node to node, the first of which is the first voxel; 0 without a lattice
-    # (nz, ny, nx, 16): the displacement T⁻¹(q) - q in voxels, x first, and the columns of ∂p/∂q; each padded with a 0
-    nodes: npt.NDArray[np.float32] | None = None
-    # A bound on the distance of a source point from T⁻¹(q), in voxels, from the checks, with their reserve; infinity
-    # if even the finest lattice is too coarse for the checks
-    error: float = 0.0
-    smooth: float = 0.0  # the least length scale of the map, in voxels
+    constants: dict[str, int]  # the constants with which shaders are compiled for them
+    count: int
+    resources: dict[str, Any]  # buffers
 
 
-def hold_strokes(gpu: Gpu, table: npt.NDArray[np.void], axes: Floats, freeze: Mask | None = None) -> Lattice:
-    """Return strokes on the device without a lattice."""
-    settings = {"nodes": (2, 2, 2), "spread": 0.0, "strokes": table.size}
-    return Lattice(constants(table, freeze), settings, {**stroke_buffers(gpu, table, axes, freeze), "lattice": None})
-
-
-def solve(
-    gpu: Gpu,
-    table: npt.NDArray[np.void],
-    axes: Floats,
-    shape: tuple[int, ...],
-    step: int,
-    freeze: Mask | None = None,
-) -> Lattice:
-    """Solve for T⁻¹ at nodes ``step`` voxels apart, in a volume of ``shape`` (Z, H, W).
-
-    MemoryError if the lattice exceeds the largest texture; ArithmeticError if nodes could not be solved in float32, or
-    by this driver.
-    """
-    across, down, deep = (-(-max(n - 1, 1) // step) + 1 for n in reversed(shape))
-    pitch = -(-across // 16) * 16
-    layer = pitch * down * _NODE
-    if layer > gpu.binding:
-        raise MemoryError("a layer of such a lattice is more than a shader takes")
-    if deep * layer > gpu.texture:
-        raise MemoryError(f"a lattice of {deep * layer >> 20} MB is more than is put into a texture")
-    texture = solid(gpu, (2 * deep, 2 * down, across), np.float32, 4)
-    settings = {"nodes": (across, down, deep), "spread": float(step), "strokes": table.size}
-    given = {**stroke_buffers(gpu, table, axes, freeze), "lattice": texture.create_view()}
-    known = constants(table, freeze)
-    nodes = np.empty((deep, down, across, 16), np.float32)
-    most = min(max(1, gpu.binding // layer), deep)
-    pace = Pace(max(1, _FIRST // (across * down)), most)
-    with owned(upload(gpu, np.array([0.0, LOST], np.float32)), room(gpu, most * layer)) as (stats, some):
-        for entry, layers in (("solve", deep), ("check", deep - 1)):
-            work = shader(gpu, source("nodes"), entry, known)
-            for first, count in pace.parts(layers):
-                groups = (-(-across // 4), -(-down // 4), -(-count // 4))
-                part = {"first": first, "last": first + count}
-                work.run(groups, settings | part, {**given, "nodes": some, "stats": stats})
-                if entry == "solve":
-                    encoder = gpu.device.create_command_encoder()
-                    encoder.copy_buffer_to_texture(
-                        {"buffer": some, "bytes_per_row": 16 * pitch, "rows_per_image": 2 * down},
-                        {"texture": texture, "origin": (0, 0, 2 * first)},
-                        (across, 2 * down, 2 * count),
-                    )
-                    gpu.device.queue.submit([encoder.finish()])
-                    found = download(gpu, some, np.float32, count * layer // 4)
-                    # In memory: layer, 2, row, 2, node, 4. The four vectors of a node lie two by two.
-                    laid = found.reshape(count, 2, down, 2, pitch, 4)[..., :across, :].transpose(0, 2, 4, 1, 3, 5)
-                    nodes[first : first + count] = laid.reshape(count, down, across, 16)
-                error, smooth = download(gpu, stats, np.float32, 2)  # waits
-                if not error < np.float32(LOST):
-                    raise ArithmeticError("its driver ends loops of many turns" if error >= CUT else _UNSOLVED)
-    if not np.isfinite(nodes).all():  # shaders may assume finite numbers
-        raise ArithmeticError(_UNSOLVED)
-    return Lattice(known, settings, given, step, nodes, float(error), float(smooth))
+def hold_strokes(gpu: Gpu, table: npt.NDArray[np.void], axes: Floats, freeze: Mask | None = None) -> Strokes:
+    """Upload strokes to the device."""
+    return Strokes(constants(table, freeze), table.size, stroke_buffers(gpu, table, axes, freeze))
 
 
 class Filling:
     """The buffer of a deformed volume, and its filled part.
 
     It is always computed from the original volume and all strokes. Another filling of the same volume replaces this
-    one, which starts again when it is next used. Voxels are ``polished`` by Newton's method where the lattice alone is
-    not within the tolerance, in voxels.
+    one, which starts again when it is next used. Source points are within the tolerance, in voxels.
     """
 
-    def __init__(self, volume: Volume, lattice: Lattice, *, polished: bool, tolerance: float) -> None:
-        self._volume, self._lattice = volume, lattice
-        self._tolerance = tolerance
-        self._bricks = math.prod(-(-n // BLOCK) for n in volume.size)
+    def __init__(self, volume: Volume, strokes: Strokes, tolerance: float) -> None:
+        self._volume, self._strokes, self._tolerance = volume, strokes, tolerance
+        self._blocks = math.prod(-(-n // BLOCK) for n in volume.size)
         self._made = 0
         self._pace = Pace(1)
         self._key = object()  # not ``self``: a reference cycle would hold the device's memory
-        chosen = lattice.constants | {"LABELLED": volume.labelled, "POLISHED": polished}
-        self._shader = shader(volume.gpu, source("fill", volume.voxel), "fill", chosen)
+        self._ranges: tuple[Array, Array] | None = None
         self._target = volume.warped.create_view()
 
     @property
     def part(self) -> float:
         """The filled part, from 0 to 1."""
-        return self._made / self._bricks if self._volume.owner is self._key else 0.0
+        return self._made / self._blocks if self._volume.owner is self._key else 0.0
 
     def advance(self, seconds: float = math.inf) -> float:
-        """Fill bricks for about this long; return the filled part. ArithmeticError if points could not be solved."""
+        """Fill blocks for about this long; return the filled part. ArithmeticError if points could not be solved."""
         if self._volume.owner is not self._key:
             self._volume.owner, self._made = self._key, 0
         gpu, start = self._volume.gpu, self._made
         with owned(room(gpu, 4)) as (lost,):
-            for first, count in self._pace.parts(self._bricks - start, min(seconds, 0.25), seconds):
+            for first, count in self._pace.parts(self._blocks - start, min(seconds, 0.25), seconds):
                 self._make(start + first, count, lost)
                 if download(gpu, lost, np.uint32, 1)[0]:  # waits
                     raise ArithmeticError("voxels could not be solved in its numbers")
                 self._made = start + first + count
         return self.part
 
-    def prepare(self) -> None:
-        """Run the shader for no brick, since some drivers compile only at the first run."""
-        with owned(room(self._volume.gpu, 4)) as (lost,):
-            self._make(0, 0, lost)
-
     def _make(self, first: int, count: int, lost: Any) -> None:
-        volume, lattice = self._volume, self._lattice
+        volume, strokes = self._volume, self._strokes
+        work = shader(
+            volume.gpu, source("fill", volume.voxel), "fill", strokes.constants | {"LABELLED": volume.labelled}
+        )
         settings = {"size": volume.size, "first": first, "count": count, "tolerance": self._tolerance}
         rows = max(1, -(-count // MOST_GROUPS))
         given = {"voxels": volume.samples, "warped": None, "lost": lost, "made": self._target}
         groups = max(1, -(-count // rows)), rows, 1
-        self._shader.run(groups, lattice.settings | settings, lattice.resources | given)
+        work.run(groups, {"strokes": strokes.count} | settings, strokes.resources | given)
+
+    def ranges(self) -> tuple[Array, Array]:
+        """Return the smallest and the largest sample of each brick of the buffer, which must be full."""
+        if self._ranges is None:
+            volume = self._volume
+            gpu, (across, down, deep) = volume.gpu, (-(-(n - 1) // BRICK) for n in volume.size)
+            made, most = np.empty((deep, down, across, 2), np.float32), max(1, gpu.binding // (8 * across * down))
+            work = shader(gpu, source("ranges"), "ranges")
+            with owned(room(gpu, 8 * across * down * min(most, deep))) as (found,):
+                for first in range(0, deep, most):
+                    last = min(first + most, deep)
+                    settings = {"size": volume.size, "bricks": (across, down, deep), "first": first, "last": last}
+                    groups = tuple(-(-n // 4) for n in (across, down, last - first))
+                    work.run(groups, settings, {"warped": self._target, "found": found})
+                    part = made[first:last]
+                    part[...] = download(gpu, found, np.float32, part.size).reshape(part.shape)
+            self._ranges = made[..., 0], made[..., 1]
+        return self._ranges

@@ -15,7 +15,6 @@ from supple.deformation import Deformation
 from supple.engine.sampling import Sampling
 from supple.engine.work import Array
 from supple.errors import SuppleError
-from supple.gpu.solid import Lattice
 from supple.render.box import Clip, box_of
 from supple.render.camera import Projection
 from supple.render.labels import LabelColours, labels_in, numbered
@@ -25,7 +24,6 @@ from supple.space.checks import choice, point, refuse
 from supple.space.geometry import Floats
 
 DARK = 0.06  # of white: a maximum projection is transparent up to it, and opaque from twice as much on
-FINE = 2  # voxels along a brick's side, if a lattice moves visible bricks into those of `_core.BRICK` voxels
 AIR, SKIN = -1000.0, -450.0  # Hounsfield units
 _THIN = 6.0  # mm: half of the largest thickness of a table
 COARSE = 2.0  # of the finest spacing: slices farther apart are smoothed
@@ -64,35 +62,20 @@ class Seen:
         return np.asarray((lows <= highs) & (before[entry(highs) + 1] > before[entry(lows)]), np.bool_)
 
 
-def skipped(
-    seen: Seen, lows: Array, highs: Array, shape: tuple[int, ...], lattice: Lattice | None, error: float
-) -> npt.NDArray[np.uint8]:
-    """Return each brick's distance in bricks to the next visible one, 0 in visible ones, of a volume of ``shape``.
-
-    ``lows`` and ``highs`` are the sample ranges of bricks: of `FINE` voxels if a lattice moves them, from which source
-    points along rays are off by ``error`` voxels at most.
-    """
-    skips = np.zeros(brick_counts(shape, _core.BRICK), np.uint8)
-    if seen.projection != "none":  # a projection reads all samples of a ray
-        return skips
-    bricks = seen.visible(lows, highs)
-    if lattice is not None and lattice.nodes is not None:
-        moved = np.empty(skips.shape, np.bool_)
-        # Source points along rays are off the lattice's by less than its error, which includes a reserve.
-        slack = 0.01 + 0.5 * min(error, 1.0)
-        _core.brick_moved(lattice.nodes, lattice.step, bricks, FINE, slack, moved)
-        bricks = moved
-    _core.brick_distances(bricks, skips)
+def skipped(seen: Seen, lows: Array, highs: Array) -> npt.NDArray[np.uint8]:
+    """Return each brick's distance in bricks to the next visible one, 0 in visible ones, by the ranges of samples."""
+    skips = np.zeros(lows.shape, np.uint8)
+    if seen.projection == "none":  # a projection reads all samples of a ray
+        _core.brick_distances(seen.visible(lows, highs), skips)
     return skips
 
 
-def ranged(samples: Array, brick: int, known: dict[int, tuple[Array, Array]]) -> tuple[Array, Array]:
-    """Return the smallest and the largest sample of each brick; ``known`` caches them by brick size."""
-    if brick not in known:
-        lows, highs = (np.empty(brick_counts(samples.shape, brick), np.float32) for _ in range(2))
-        _core.brick_ranges(samples, brick, lows, highs)
-        known[brick] = lows, highs
-    return known[brick]
+def ranged(samples: Array) -> tuple[Array, Array]:
+    """Return the smallest and the largest sample of each brick."""
+    counts = [-(-(n - 1) // _core.BRICK) for n in samples.shape]
+    lows, highs = np.empty(counts, np.float32), np.empty(counts, np.float32)
+    _core.brick_ranges(samples, lows, highs)
+    return lows, highs
 
 
 def levelled(transfer: TransferFunction, samples: Array, values: tuple[float, float]) -> TransferFunction:
@@ -371,11 +354,6 @@ def lamp(view: Projection) -> npt.NDArray[np.float32]:
     right, down = (axis / np.linalg.norm(axis) for axis in view.packed[3:])
     towards = -view.ahead - 0.35 * right - 0.45 * down
     return np.asarray(towards / np.linalg.norm(towards), np.float32)
-
-
-def brick_counts(shape: tuple[int, ...], brick: int) -> tuple[int, ...]:
-    """Return the number of bricks along each axis."""
-    return tuple(-(-max(n - 1, 1) // brick) for n in shape)
 
 
 def triple(values: npt.NDArray[np.floating]) -> tuple[float, float, float]:

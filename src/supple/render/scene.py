@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 import math
-import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
@@ -15,12 +14,11 @@ import numpy.typing as npt
 from supple import _core
 from supple.deformation import Deformation
 from supple.engine.work import Array
-from supple.errors import SuppleError, ToleranceWarning, argument
+from supple.errors import SuppleError
 from supple.gpu import raymarch as shading
 from supple.gpu.device import DRAWING, Gpu, failures, gpu_of, trouble
-from supple.gpu.solid import Volume
+from supple.gpu.solid import Filling, Volume
 from supple.render.appearance import (
-    FINE,
     PROJECTIONS,
     Seen,
     lamp,
@@ -37,7 +35,7 @@ from supple.render.appearance import (
 )
 from supple.render.box import Box, Clip, Plane, around, box_of, plane_of, seen_points, within
 from supple.render.camera import Camera, Projection, camera_of, view_of
-from supple.render.device import along_rays, held_scene, tried
+from supple.render.device import held_scene, tried
 from supple.render.labels import LabelColours
 from supple.render.meshes import Surface, nearest, place
 from supple.render.picture import Pick, Rendering, linear_light
@@ -91,8 +89,8 @@ class Scene:
         or, in hollows, the sky's does not arrive.
     mode : str
         The evaluation of the deformation: ``"buffered"`` warps the volume first; ``"exact"`` inverts every sample along
-        every ray; ``"hybrid"``, on the GPU, reads a certified lattice of inverse displacements until `fill` has
-        completed the buffer. On the CPU, ``"hybrid"`` is ``"buffered"``.
+        every ray; ``"hybrid"``, on the GPU, is exact until `fill` has completed the buffer. On the CPU, ``"hybrid"`` is
+        ``"buffered"``.
     meshes : sequence of Surface
         Meshes and contours, which move with the volume, exactly by T. They are opaque, and not cut away by ``clip`` and
         ``plane``; projections, which have no depth, are drawn behind them.
@@ -196,15 +194,14 @@ class Scene:
     def _sample(self, transfer: Transfer, density: tuple[float, float] | None) -> None:
         rest = self.step, self.projection, self.geometry.spacing
         self._original, self._paint, seen = sampled(self._given, transfer, density, *rest)
-        self._ranges: dict[int, tuple[Array, Array]] = {}
+        self._still_ranges = ranged(self._original)
         self._thin: dict[int, tuple[Array, Array | None]] = {}  # every k-th voxel, and its colours
-        # the skips of the original, and the appearance for which they hold
-        self._still: tuple[Seen | None, npt.NDArray[np.uint8]] = None, np.empty(0, np.uint8)
         self._look_by(seen)
 
     def _look_by(self, seen: Seen) -> None:
         self._seen, self.transfer, self.density = seen, seen.transfer, seen.density
         self.range, self.labels = seen.range, seen.labels
+        self._still = skipped(seen, *self._still_ranges)  # what rays skip of the original
 
     def _deform(self, given: Deformation | None, volume: Volume | None, coarse: int = 1) -> None:
         """Set all attributes that depend on strokes. ``volume`` is the volume on a GPU, if it is there already."""
@@ -232,28 +229,13 @@ class Scene:
                 self.samples = warped(samples, deformation, labelled, self.tolerance, coarse)
                 if paint is not None:
                     self._colours = warped(paint, deformation, labelled, self.tolerance, coarse)
-        self._lattice = held.lattice if held is not None and held.lattice.nodes is not None else None
-        if held is not None and self._lattice is not None and self.mode == "hybrid":
-            self.error = along_rays(self._lattice, held.cells, self.tolerance)
-            if self.error > self.tolerance:
-                off = f"by {self.error:.2g} voxels" if math.isfinite(self.error) else "by more than a voxel"
-                warnings.warn(
-                    f"the lattice may be off {off} somewhere, beyond the tolerance {self.tolerance:g}: "
-                    f"{argument('mode', 'exact')} stays within it, and so does {argument('mode', 'buffered')}",
-                    ToleranceWarning,
-                    stacklevel=3,
-                )
-        ranges = self._ranges if self.samples is self._original else {}
-        self._lows, self._highs = ranged(self.samples, _core.BRICK if self._lattice is None else FINE, ranges)
+        self._ranges = self._still_ranges if self.samples is self._original else ranged(self.samples)
         self._placed = tuple(place(mesh, deformation, self.geometry) for mesh in self.meshes)
         self._skip()
 
     def _skip(self) -> None:
-        still = self._lattice is None and self.samples is self._original  # skips do not depend on strokes
-        if not still or self._still[0] is not self._seen:
-            skips = skipped(self._seen, self._lows, self._highs, self.samples.shape, self._lattice, self.error)
-            self._still = (self._seen if still else None), skips
-        self._skips = self._still[1]
+        self._skips = self._still if self.samples is self._original else skipped(self._seen, *self._ranges)
+        self._filled: npt.NDArray[np.uint8] | None = None  # what rays skip of the buffer on a GPU, once that is filled
         self._darken()
 
     def _darken(self) -> None:
@@ -312,8 +294,7 @@ class Scene:
     def seen_points(self) -> npt.NDArray[np.float64]:
         """Points around all that is visible, in voxels of the deformed volume, x first, (N, 3)."""
         # Bricks of the original, moved: the same in all modes.
-        ranges = ranged(self._original, _core.BRICK, self._ranges)
-        points = seen_points(self._seen.visible(*ranges), _core.BRICK, self._original.shape)
+        points = seen_points(self._seen.visible(*self._still_ranges), _core.BRICK, self._original.shape)
         if self.deformation is not None and len(points):
             points = self.deformation.forward(points)
         points = within(points, self.clip, self.plane, self.geometry.spacing, _core.BRICK)
@@ -357,7 +338,7 @@ class Scene:
         if held is not None:
             done = tried(
                 held.volume.gpu,
-                lambda: shading.march(held, look, (height, width), fine, ends),
+                lambda: shading.march(held, self._look(view, held.filled()), (height, width), fine, ends),
                 2,
                 "the CPU did what {} could not",
             )
@@ -425,11 +406,10 @@ class Scene:
             for c in point("background", background, (3,))
         )
         behind = linear_light(colour).astype(np.float32)
-        look = self._look(view)
-        ends = self._ends(look, view, 1)
+        ends = self._ends(self._look(view), view, 1)
         try:
             with gpu.lock:
-                shading.paint(held, look, view.size, behind, texture, ends)
+                shading.paint(held, self._look(view, held.filled()), view.size, behind, texture, ends)
         except failures() as error:
             raise SuppleError(f"{gpu.name} could not draw: {trouble(gpu, error)}: use render") from None
 
@@ -454,7 +434,7 @@ class Scene:
         Warns
         -----
         DeviceWarning
-            If the GPU failed: a hybrid scene continues with its lattice, and a buffered one on the CPU.
+            If the GPU failed: a hybrid scene goes on without a buffer, and a buffered one on the CPU.
         """
         held, seconds = self._held, number("seconds", seconds, "a number of seconds from 0", 0.0, 1e9)
         if held is None or held.filling is None or held.filling.part == 1.0:
@@ -467,7 +447,6 @@ class Scene:
             "the CPU does what {} cannot" if held.whole else "{} does not go on with the buffer",
         )
         if done is None:
-            # The lattice of a buffered scene may be too coarse to render from.
             if held.whole:
                 self._held = self.gpu = None
             else:
@@ -475,15 +454,18 @@ class Scene:
             return 1.0
         return done
 
-    def _look(self, view: Projection) -> shading.Look:
+    def _look(self, view: Projection, filled: Filling | None = None) -> shading.Look:
+        """Return how rays see the scene's samples, or a buffer on the GPU."""
         seen, light = self._seen, lamp(view)
+        if filled is not None and self._filled is None:
+            self._filled = skipped(seen, *filled.ranges())
         arrives, placed = arriving(self._shade, light, self.shadows)
         camera, k = view.packed.copy(), self.coarse
         camera[0] /= k  # in samples
         camera[1] *= k
         return shading.Look(
             camera=camera,
-            skips=self._skips,
+            skips=self._skips if filled is None or self._filled is None else self._filled,
             table=seen.table,
             sums=summed(seen.table),
             low=seen.low,

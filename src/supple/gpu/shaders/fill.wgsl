@@ -1,14 +1,12 @@
-// A deformed volume, filled in bricks: each voxel is the volume sampled at T⁻¹, which is interpolated along rows.
+// A deformed volume, filled in bricks: each voxel is the volume sampled at T⁻¹, solved from the voxel before it.
 
-#use newton solid smooth volume turns
+#use newton volume turns
 
 struct Settings {
     size: vec3u, // voxels
     strokes: u32,
-    nodes: vec3u, // of the lattice of T⁻¹
-    spread: f32, // voxels from node to node
-    first: u32, // the first brick of this dispatch
-    count: u32, // the number of its bricks
+    first: u32, // the first block of this dispatch
+    count: u32, // the number of its blocks
     tolerance: f32, // of source points, in voxels
     turns: u32, // see turns.wgsl
 }
@@ -17,25 +15,30 @@ var<uniform> settings: Settings;
 var<storage, read_write> lost: atomic<u32>; // voxels that could not be solved
 var made: texture_storage_3d<r32float, write>; // the buffer
 
-override POLISHED: bool; // true if each source point is refined by Newton's method, from that of the lattice
+// The norm of a matrix, from physical units to voxels.
+fn norm_of(matrix: mat3x3f) -> f32 {
+    var sum = 0.0;
+    for (var c = 0u; c < 3u; c++) {
+        let column = matrix[c] * domain.spacing[c] / domain.spacing.xyz;
+        sum += dot(column, column);
+    }
+    return sqrt(sum);
+}
 
-fn source_of(q: vec3f, u: vec3f) -> vec3f {
-    let at = q * domain.spacing.xyz;
+// T⁻¹(q) - q, from a guess, in physical units.
+fn offset_at(at: vec3f, guess: vec3f) -> vec3f {
     if (frozen(at)) {
-        return q;
+        return vec3f(0.0);
     }
-    if (!POLISHED) {
-        return q + u;
-    }
-    let aim = 0.1 * settings.tolerance * finest();
-    var found = newton(0u, settings.strokes, at, vec3f(0.0), u * domain.spacing.xyz, aim, 12u);
-    if (!(norm_of(in_pixels(found.matrix)) * found.residual <= settings.tolerance * finest())) {
-        found = undo(at, aim);
-        if (!(norm_of(in_pixels(found.matrix)) * found.residual <= settings.tolerance * finest())) {
+    let wanted = settings.tolerance * finest();
+    var found = newton(0u, settings.strokes, at, vec3f(0.0), guess, 0.1 * wanted, 12u);
+    if (!(norm_of(found.matrix) * found.residual <= wanted)) {
+        found = undo(at, 0.1 * wanted);
+        if (!(norm_of(found.matrix) * found.residual <= wanted)) {
             atomicAdd(&lost, 1u);
         }
     }
-    return q + found.offset / domain.spacing.xyz;
+    return found.offset;
 }
 
 @compute @workgroup_size(64)
@@ -51,27 +54,19 @@ fn fill(
     let blocks = (settings.size + BLOCK - 1u) / BLOCK;
     let which = settings.first + place;
     let corner = BLOCK * vec3u(which % blocks.x, which / blocks.x % blocks.y, which / (blocks.x * blocks.y));
-    let way = u32(settings.spread);
+    var start = vec3f(0.0);
     for (var row = own; row < BLOCK * BLOCK; row += 64u) {
         let y = corner.y + row % BLOCK;
         let z = corner.z + row / BLOCK;
         if (y >= settings.size.y || z >= settings.size.z) {
             continue;
         }
-        let end = min(corner.x + BLOCK, settings.size.x);
-        var to = between(vec3f(vec3u(corner.x, y, z)));
-        for (var x = corner.x; x < end; x += way) {
-            let from_ = to;
-            to = between(vec3f(vec3u(x + way, y, z)));
-            let rise = to.shift - from_.shift;
-            let slope = vec3f(settings.spread, 0.0, 0.0);
-            let a = settings.spread * from_.matrix[0] - slope - rise;
-            let b = rise - settings.spread * to.matrix[0] + slope;
-            for (var i = 0u; i < way && x + i < end; i++) {
-                let q = vec3f(vec3u(x + i, y, z));
-                let u = cubic(from_.shift, rise, a, b, f32(i) / settings.spread);
-                textureStore(made, vec3u(x + i, y, z), vec4f(copied_at(source_of(q, u))));
-            }
+        var offset = start;
+        for (var x = corner.x; x < min(corner.x + BLOCK, settings.size.x); x++) {
+            let q = vec3f(vec3u(x, y, z));
+            offset = offset_at(q * domain.spacing.xyz, offset);
+            start = select(start, offset, x == corner.x);
+            textureStore(made, vec3u(x, y, z), vec4f(copied_at(q + offset / domain.spacing.xyz)));
         }
     }
     if (cut_short()) {

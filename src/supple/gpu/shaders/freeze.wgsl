@@ -1,8 +1,7 @@
 // m(p), the factor of a freeze mask for every stroke's displacement: a cubic B-spline; see _core/freeze.hpp.
 //
-// Each coefficient has 16 bits. The lower 8 are m times 255. The upper 8 are the calm of the cell from it to the next
-// ones: a lower bound, in cells, of the distance to cells in which m varies, and 0 in these. Where it is not 0, m is
-// the coefficient.
+// Each coefficient has 16 bits. The lower 8 are m times 255. The next one is 1 if m does not vary in the cell from it
+// to the next ones: there, m is the coefficient.
 
 var<storage, read> mask: array<u32>;
 
@@ -99,11 +98,6 @@ fn freed(q: vec3f, w: vec3f) -> Freed {
         );
     }
     return Freed(found.x, found.yzw);
-}
-
-// The length scale of m around a point, in physical units.
-fn smoothness_of_mask(q: vec3f, w: vec3f) -> f32 {
-    return (4.0 + f32(mask_in(mask_cell(q, w)) >> 8u)) * domain.mask_size.w;
 }
 
 // True if m is 0 at a point, given in physical units, and in the cells beside its own.

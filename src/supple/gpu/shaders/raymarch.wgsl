@@ -1,12 +1,10 @@
 // A volume rendered through a camera, a ray for each thread; see _core/raymarch.hpp.
 
-#use newton solid volume turns
+#use newton volume turns
 
 struct Settings {
     size: vec3u, // voxels
     strokes: u32,
-    nodes: vec3u, // of the lattice of T⁻¹
-    spread: f32, // voxels from node to node
     bricks: vec3u, // of the map of empty space
     first: u32, // the first row of rays in this dispatch
     picture: vec2u, // columns and rows of rays
@@ -29,7 +27,6 @@ struct Settings {
     shaded: u32,
     fine: u32, // rays along a pixel's side
     rows: u32,
-    stretch: u32, // samples that share one read of the lattice
     turns: u32, // see turns.wgsl
     projection: u32,
     silhouettes: f32, // how much surfaces that are seen edge-on darken
@@ -49,7 +46,7 @@ var<storage, read> ends: array<vec4f>; // the meshes that rays end at: colour, a
 override MODE: u32;
 override COLOURED: bool = false; // true if voxels have colours of their own
 
-const BRICK = 4u;
+const RUN = 8u; // samples between two looks at the map of empty space
 const BISECTIONS = 2u;
 const HALVINGS = 6u; // of labels
 const OPAQUE = 0.995;
@@ -83,57 +80,12 @@ fn solved(q: vec3f, near: vec3f) -> Place {
     return Place(q + found.offset / domain.spacing.xyz, found.offset, found.matrix);
 }
 
-// A stretch of a ray, a few steps long, along which the source points are a cubic: one read of the lattice serves all
-// of its samples. It is about as long as the cells of the lattice, and not longer.
-struct Stretch {
-    start: f32, // in millimetres along the ray
-    over: f32, // 1 / its length
-    from_: Between, // at its ends
-    to: Between,
-    rise: vec3f, // see `cubic`
-    a: vec3f,
-    b: vec3f,
-}
-
-var<private> stretch: Stretch;
-
-// Start a stretch at the ray's current step; `going_on` if it may continue the last one.
-fn begin(ray: Ray, going_on: bool) {
-    if (MODE == PLAIN || MODE == EXACT) {
-        return;
-    }
-    // The last one begins earlier, to stay within the lattice.
-    let whole = f32(settings.stretch) * settings.step;
-    let wanted = ray.start + ray.count * settings.step;
-    stretch.start = max(ray.near, min(wanted, ray.far - whole));
-    let length_ = max(min(stretch.start + whole, ray.far) - stretch.start, 1e-3 * whole);
-    stretch.over = 1.0 / length_;
-    stretch.from_ = stretch.to;
-    // Its end, and its start unless that is the last one's end: a loop, since some devices run both sides of a branch.
-    let ends = select(2u, 1u, going_on && stretch.start == wanted);
-    for (var k = 0u; k < ends; k++) {
-        let here = between(ray.o + (stretch.start + select(length_, 0.0, k == 1u)) * ray.d);
-        if (k == 0u) {
-            stretch.to = here;
-        } else {
-            stretch.from_ = here;
-        }
-    }
-    stretch.rise = stretch.to.shift - stretch.from_.shift;
-    stretch.a = length_ * (stretch.from_.matrix * ray.d - ray.d) - stretch.rise;
-    stretch.b = stretch.rise - length_ * (stretch.to.matrix * ray.d - ray.d);
-}
-
 fn source_of(ray: Ray, t: f32, near: vec3f) -> Place {
     let q = ray.o + t * ray.d;
     if (MODE == EXACT) {
         return solved(q, near);
     }
-    if (MODE == PLAIN) {
-        return Place(q, near, IDENTITY);
-    }
-    let s = (t - stretch.start) * stretch.over;
-    return Place(q + cubic(stretch.from_.shift, stretch.rise, stretch.a, stretch.b, s), near, IDENTITY);
+    return Place(q, near, IDENTITY);
 }
 
 struct Ray {
@@ -163,16 +115,12 @@ fn steps_to_skip(ray: Ray, t: f32) -> f32 {
 }
 
 // The gradient of the deformed volume, per millimetre: (∂p/∂q)ᵀ ∇f.
-fn gradient_at(place: Place, t: f32) -> vec3f {
+fn gradient_at(place: Place) -> vec3f {
     let g = slopes_at(place.p);
     if (MODE == EXACT) {
         return (g / domain.spacing.xyz) * place.matrix;
     }
-    if (MODE == PLAIN) {
-        return g / domain.spacing.xyz;
-    }
-    let s = (t - stretch.start) * stretch.over;
-    return g * (stretch.from_.matrix + s * (stretch.to.matrix - stretch.from_.matrix)) / domain.spacing.xyz;
+    return g / domain.spacing.xyz;
 }
 
 // -1 for a value below the visible range, 0 within it, 1 above.
@@ -316,7 +264,6 @@ fn march(@builtin(global_invocation_id) id: vec3u) {
     let layer = LAYER * min(domain.spacing.x, min(domain.spacing.y, domain.spacing.z));
     var total = vec4f(0.0);
     var opaque = FAR;
-    var going_on = false;
     var known = false; // the value at the start of a step
     var before = 0.0;
     var within = false;
@@ -332,7 +279,6 @@ fn march(@builtin(global_invocation_id) id: vec3u) {
                 // Go back a step, which lies partly in the visible brick.
                 ray.count = max(ray.count - 1.0, 0.0);
                 t = ray.start + ray.count * settings.step;
-                going_on = false;
                 known = false;
                 face = -1.0;
                 if (t >= far) {
@@ -340,8 +286,6 @@ fn march(@builtin(global_invocation_id) id: vec3u) {
                 }
             }
         }
-        begin(ray, going_on);
-        going_on = true;
         if (!known) {
             let place = source_of(ray, t, shift);
             shift = place.shift;
@@ -350,7 +294,7 @@ fn march(@builtin(global_invocation_id) id: vec3u) {
             known = true;
         }
         within = false;
-        for (var j = 0u; j < settings.stretch && t < far; j++) {
+        for (var j = 0u; j < RUN && t < far; j++) {
             let t1 = min(ray.start + (ray.count + 1.0) * settings.step, far);
             let place = source_of(ray, t1, shift);
             shift = place.shift;
@@ -388,7 +332,6 @@ fn march(@builtin(global_invocation_id) id: vec3u) {
                     ray.count = 0.0;
                     t = surface;
                     within = true;
-                    going_on = false;
                     break;
                 }
             }
@@ -404,7 +347,7 @@ fn march(@builtin(global_invocation_id) id: vec3u) {
                 let seat = source_of(ray, middle, shift);
                 let colour = painted(seat.p, step.colour);
                 if (settings.shaded == 1u) {
-                    lit = lit_by(gradient_at(seat, middle), half_, along);
+                    lit = lit_by(gradient_at(seat), half_, along);
                     taken += 1.0;
                     if (face >= 0.0) {
                         let deep = clamp((t - near) / layer, 0.0, 1.0);
@@ -442,25 +385,20 @@ fn project(whole: Ray, k: u32) {
     var value = 0.0;
     var at = FAR;
     var count = 0.0;
-    var going_on = false;
     var t = ray.near;
     while (t <= ray.far) {
-        begin(ray, going_on);
-        for (var j = 0u; j < settings.stretch && t <= ray.far; j++) {
-            let place = source_of(ray, t, shift);
-            shift = place.shift;
-            let next = sample_at(place.p);
-            if (settings.projection == AVERAGE) {
-                value += next;
-            } else if (count == 0.0 || select((next < value), (next > value), settings.projection == MAXIMUM)) {
-                value = next;
-                at = t;
-            }
-            count += 1.0;
-            ray.count += 1.0;
-            t = ray.start + ray.count * settings.step;
+        let place = source_of(ray, t, shift);
+        shift = place.shift;
+        let next = sample_at(place.p);
+        if (settings.projection == AVERAGE) {
+            value += next;
+        } else if (count == 0.0 || select((next < value), (next > value), settings.projection == MAXIMUM)) {
+            value = next;
+            at = t;
         }
-        going_on = true;
+        count += 1.0;
+        ray.count += 1.0;
+        t = ray.start + ray.count * settings.step;
     }
     var total = vec4f(0.0);
     var surface = at;
