@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -10,7 +11,7 @@ import pytest
 
 import supple
 import supple.cuda
-from supple.cuda import warp
+from supple.cuda import arrays, warp
 from supple.errors import FoldWarning, OutsideWarning, SuppleError, ToleranceWarning
 from tests import reference
 from tests.cuda.at_size import typed
@@ -336,6 +337,7 @@ def test_cells_are_as_large_as_strokes_allow(shape: tuple[int, ...], radius: flo
     d = d.grab(np.array(shape[::-1]) / 3, by=[0.1 * radius] * len(shape), radius=radius, reach=None)
     assert warp.size_of(d.space, 0.01) == size
     assert warp.size_of(d.space, 1e-5) == 8
+    warp._lattices.clear()  # of other tests
     warping = supple.cuda.start(sent(np.zeros(shape, np.float32)), d, filter="linear")
     assert 0 < warping.error <= 0.01
     (lattice,) = warp._lattices.values()
@@ -349,6 +351,23 @@ def test_cells_are_as_large_as_strokes_allow(shape: tuple[int, ...], radius: flo
             wanted = d.warp(source, filter=name, tolerance=TIGHT)
             off = np.abs(made.astype(np.float64) - wanted).max()
             assert off <= 0.01 * range_of(source) + (source.dtype.kind == "u")
+
+
+def test_negative_strides_may_come_as_unsigned_numbers(monkeypatch: pytest.MonkeyPatch) -> None:
+    given = sent(np.arange(60, dtype=np.float32).reshape(6, 10))
+    viewed = arrays._viewed
+
+    def unsigned(*given: Any) -> Any:
+        view = viewed(*given)
+        strides = tuple(s * view.dtype.itemsize % 2**64 // view.dtype.itemsize for s in view.strides)
+        return SimpleNamespace(shape=view.shape, strides=strides, dtype=view.dtype, ptr=view.ptr, readonly=False,
+                               device_id=view.device_id)  # fmt: skip
+
+    monkeypatch.setattr(arrays, "_viewed", unsigned)
+    turned = arrays.taken(given[::-1, ::-2], "source")
+    assert turned.strides == (-10, -2)
+    first, end = turned._bounds()
+    assert end - first == 4 * (50 + 8 + 1)
 
 
 @pytest.mark.parametrize("slab", [1, 2, 5])

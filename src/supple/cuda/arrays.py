@@ -122,7 +122,8 @@ def taken(value: Any, name: str) -> DeviceArray:
         refuse(
             name, "an array on a GPU, of bool, integers or floats of 16 to 64 bits", " ".join(str(error).split())[:80]
         )
-    strides = tuple(view.strides) if view.strides is not None else dense(shape)
+    wrapped = 2**64 // dtype.itemsize  # cuda.core divides negative strides, in bytes, as unsigned numbers
+    strides = dense(shape) if view.strides is None else (s - wrapped if s > wrapped // 2 else s for s in view.strides)
     if int(view.device_id) != gpu.number:
         gpu = open_device(int(view.device_id))
     return DeviceArray(value, kind, shape, tuple(int(s) for s in strides), dtype, int(view.ptr), gpu,
