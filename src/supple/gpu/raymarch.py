@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
@@ -31,7 +31,6 @@ class Held:
     mode: int  # PLAIN or EXACT
     filling: Filling | None = None  # the buffer, if there is one: once it is filled, rays sample it
     whole: bool = False  # whether the volume is drawn only when its buffer is filled
-    pace: Pace = field(default_factory=lambda: Pace(RAYS))  # the number of rays in one part
 
     def filled(self) -> Filling | None:
         """Return the buffer, if rays sample it."""
@@ -145,11 +144,13 @@ def _rays(
     most = min(height // fine, gpu.binding // (32 * rays))
     if most < 1 or width > 8 * MOST_GROUPS:
         raise MemoryError("a row of pixels of so many rays is more than a shader takes")
-    pace = Pace(max(1, held.pace.count // rays), most)
+    mode = PLAIN if held.filled() else held.mode
+    kept = held.volume.paces.setdefault(mode, Pace(RAYS))
+    pace = Pace(max(1, kept.count // rays), most)
     wide = min(len(look.table) + 1, ROW)
     colours = np.stack([np.pad(look.table, ((0, 1), (0, 0))), look.sums]).astype(np.float32)
     colours = np.pad(colours, ((0, 0), (0, -colours.shape[1] % wide), (0, 0))).reshape(2, -1, wide, 4)
-    skips = look.skips if held.filled() or held.mode == PLAIN else look.skips[:1, :1, :1]  # exact rays skip nothing
+    skips = look.skips if mode == PLAIN else look.skips[:1, :1, :1]  # exact rays skip nothing
     settings["bricks"] = skips.shape[::-1]
     textures = [uploaded(gpu, skips), uploaded(gpu, np.moveaxis(colours, 1, 0))]
     if look.arrives.size:
@@ -162,18 +163,18 @@ def _rays(
             meshes = np.zeros(4, np.float32) if ends is None else ends[part["first"] :][: part["rows"]]
             with owned(upload(gpu, np.minimum(meshes, np.float32(FAR)))) as (ended,):
                 groups = (-(-width // 8), -(-count * fine // 8), 1)
-                _march(held, groups, settings | part, {**given, "seen": seen, "ends": ended})
+                _march(held, mode, groups, settings | part, {**given, "seen": seen, "ends": ended})
             yield first * fine, count * fine, seen
             pace.count = min(pace.count, most)
-    held.pace.count = pace.count * rays
+    kept.count = pace.count * rays
 
 
-def _march(held: Held, groups: tuple[int, ...], settings: dict[str, Any], given: dict[str, Any]) -> None:
-    """Run the shader of rays; settings and resources are given in addition to those of the scene."""
-    volume, strokes, copied = held.volume, held.strokes, held.filled() is not None
+def _march(held: Held, mode: int, groups: tuple[int, ...], settings: dict[str, Any], given: dict[str, Any]) -> None:
+    """Run the shader of rays in a mode; settings and resources are given in addition to those of the scene."""
+    volume, strokes = held.volume, held.strokes
     chosen = {
-        "MODE": PLAIN if copied else held.mode,
-        "WARPED": copied,
+        "MODE": mode,
+        "WARPED": mode == PLAIN and held.filling is not None,
         "LABELLED": volume.labelled,
         "COLOURED": volume.colours is not None,
     }

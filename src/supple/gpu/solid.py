@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -30,6 +30,7 @@ class Volume:
     warped: Any = None  # the texture for a deformed volume, in float32: see `beside`
     full: bool = False  # whether its allocation failed
     owner: object = None  # the key of the filling that owns that texture, if any: see `supple.gpu.solid.Filling`
+    paces: dict[int, Pace] = field(default_factory=dict)  # the number of rays in one part of a picture, for each mode
 
 
 def hold(gpu: Gpu, samples: Array, labelled: bool = False, colours: Array | None = None) -> Volume:

@@ -406,10 +406,10 @@ class Scene:
             for c in point("background", background, (3,))
         )
         behind = linear_light(colour).astype(np.float32)
-        ends = self._ends(self._look(view), view, 1)
         try:
             with gpu.lock:
-                shading.paint(held, self._look(view, held.filled()), view.size, behind, texture, ends)
+                look = self._look(view, held.filled())
+                shading.paint(held, look, view.size, behind, texture, self._ends(look, view, 1))
         except failures() as error:
             raise SuppleError(f"{gpu.name} could not draw: {trouble(gpu, error)}: use render") from None
 
