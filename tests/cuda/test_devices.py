@@ -198,6 +198,7 @@ def test_the_command_line_ends_before_any_work(
 
 @pytest.mark.usefixtures("folder")
 def test_clips_and_views_are_refused_whoever_is_there(capfd: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("av")
     wanted = '--device must be "cpu" or "auto" for clips, found \'cuda\''
     assert refused(capfd, "warp", "clip.mp4", "out.mp4", *GRAB, "--device", "cuda") == wanted
     assert refused(capfd, "warp", "pictures/%d.png", "out/%d.png", *GRAB, "--device", "cuda") == wanted

@@ -147,10 +147,11 @@ struct Level {
         for (int finer = k - 1; finer >= 0; finer--) i = least(2 * i + (n >> finer & 1), side(count, finer) - 1);
         return i;
     }
-    // A function call, so that the few pixels that need it cost the others no registers.
+    // A function call, so that the few pixels that need it cost the others no registers. Weights are passed by their
+    // address: of doubles passed by value, NVRTC 13.0 made wrong samples in some kernels.
     template <int RANK, int TAPS>
-    NOINLINE static Sum<N, C> at_an_edge(Group<T, N, C> group, const T* frame, int k, int x, int y,
-                                         Taps<N, RANK, TAPS> taps) {
+    NOINLINE static Sum<N, C> at_an_edge(const Group<T, N, C>& group, const T* frame, int k, int x, int y,
+                                         const Taps<N, RANK, TAPS>& taps) {
         const Level level{group, frame, k};
         return level.group.summed(taps, [&](int i, int j) { return level.at(x + i, y + j); });
     }
