@@ -57,7 +57,7 @@ def handed_over(b: Bench) -> Iterator[Line]:
     """How long the host is kept, and how evenly another stream's small kernels run meanwhile."""
     import supple.cuda
     from supple.cuda.device import open_device
-    from supple.cuda.programs import SOME, Program, launch, prepare
+    from supple.cuda.programs import SOME, Program, launch, prepare, record
 
     place, shape = b.place, (b.side,) * 3
     d = stroke(*shape)
@@ -80,10 +80,7 @@ def handed_over(b: Bench) -> Iterator[Line]:
 
     gpu = open_device()
     stream = gpu.stream()
-    kernel, none = (
-        prepare(gpu, Program("points", 2, False)),
-        np.zeros(1, SOME),
-    )  # of no points: a block that has nothing to do
+    kernel, none = prepare(gpu, Program("points", 2, False)), record(SOME)  # of no points: a block with nothing to do
     clock = wall if place.dry else Events(stream.handle, beside=True)
 
     def small() -> None:

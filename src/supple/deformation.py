@@ -19,7 +19,7 @@ from supple.engine import core
 from supple.engine.core import measured, plan_of
 from supple.engine.devices import is_on_device
 from supple.engine.sampling import DEFAULT, Certificate, Sampling, SamplingFields, warn_of
-from supple.engine.work import Mattes, Space, mask_of, shown_mask
+from supple.engine.work import Mattes, Space, mask_of, on_grid, shown_mask
 from supple.errors import FoldWarning, MissWarning, OutsideWarning, SuppleError, argument, caller, numbered, shown
 from supple.fields import Field, Placed, check_path, folds_of
 from supple.folding.limits import NEAR, farthest
@@ -496,7 +496,7 @@ class Deformation:
         if grid is not None and not moved and grid.shape == own.shape:
             grid = None
         if not self.maps and regrid is None and not inverse:
-            return replace(plain, grid=grid)
+            return on_grid(plain, grid) if grid else plain
         if done < len(plain.rows):
             parts.append(("strokes", plain.rows[done:], False))
         if inverse:

@@ -335,8 +335,8 @@ def test_what_cannot_be_done_is_said() -> None:
 def test_cells_are_as_large_as_strokes_allow(shape: tuple[int, ...], radius: float, size: int) -> None:
     d = supple.Deformation(shape, border=None, on_fold="damp")
     d = d.grab(np.array(shape[::-1]) / 3, by=[0.1 * radius] * len(shape), radius=radius, reach=None)
-    assert warp.size_of(d.space, 0.01) == size
-    assert warp.size_of(d.space, 1e-5) == 8
+    assert warp.sizes_of((d.space,), d.space.axes[None], 0.01)[:2] == (size, size)
+    assert warp.sizes_of((d.space,), d.space.axes[None], 1e-5)[:2] == (8, 8)
     warp._lattices.clear()  # of other tests
     warping = supple.cuda.start(sent(np.zeros(shape, np.float32)), d, filter="linear")
     assert 0 < warping.error <= 0.01
@@ -368,6 +368,21 @@ def test_negative_strides_may_come_as_unsigned_numbers(monkeypatch: pytest.Monke
     assert turned.strides == (-10, -2)
     first, end = turned._bounds()
     assert end - first == 4 * (50 + 8 + 1)
+
+
+def test_cells_are_smaller_beside_a_border() -> None:
+    """In the border and as far beyond as a stroke moves its end; a batch with several borders has small ones only."""
+    one, other = (
+        supple.Deformation((400, 400), border=float(b)).grab((200, 200), by=(40, 20), radius=110) for b in (40, 50)
+    )
+    axes = np.stack([one.space.axes, other.space.axes])
+    assert warp.sizes_of((one.space,), axes[:1], 0.01)[:2] == (8, 16)
+    assert warp.sizes_of((one.space, other.space), axes, 0.01)[:2] == (8, 8)
+    xs = warp.positions(0, 400, axes[0, 0], 8, 16, 20)
+    assert {0, 40, 60, 340, 360, 399} <= set(xs.tolist())
+    apart = np.diff(xs)
+    assert (apart[(xs[:-1] < 60) | (xs[:-1] >= 340)].max(), apart.max()) == (8, 16)
+    assert (np.diff(warp.positions(0, 400, axes[0, 0], 8, 16, np.inf)) <= 8).all()
 
 
 @pytest.mark.parametrize("slab", [1, 2, 5])

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Any, Unpack
 
 from supple.cuda.arrays import DeviceArray, as_stream, checked_out, made_like, stream_of, taken
@@ -131,9 +130,8 @@ def _prepared(
     held = taken(source, "source")
     if batch:
         check_count(spaces, held.shape[0] if held.ndim else 0)
-    work = work_of(held.shape[1:] if batch else held.shape, held.dtype, spaces[0], sampling, alpha)
-    if batch:
-        work = replace(work, items=spaces)
+    items = spaces if batch else None
+    work = work_of(held.shape[batch:], held.dtype, spaces[0], sampling, alpha, items=items)
     shape, space = held.shape, work.space
     if space.grid is not None:
         shape = (*shape[:batch], *space.out, *shape[batch + len(space.whole) :])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import hashlib
 import io
 import os
@@ -12,13 +13,11 @@ import tempfile
 import threading
 from collections.abc import Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from supple.cuda.device import CudaDevice, CudaError, Stream, bindings, call
 
@@ -49,12 +48,12 @@ SOME = np.dtype(
 TOLD = np.dtype([("worst", "f4"), ("rough", "i4"), ("unsolved", "i4"), ("folded", "i4"), ("outside", "i4")])
 
 
-def record(kind: np.dtype[Any], **values: Any) -> npt.NDArray[Any]:
-    """Return an array of one record; other fields are 0."""
-    made = np.zeros(1, kind)
-    for name, value in values.items():
-        made[name] = value
-    return made
+_structure = cache(np.ctypeslib.as_ctypes_type)
+
+
+def record(kind: np.dtype[Any], **values: Any) -> Any:
+    """Return a pointer to a record, with its fields as ``contents``; other fields are 0."""
+    return ctypes.pointer(_structure(kind)(**values))
 
 
 _HERE = Path(__file__).parent / "kernels"
@@ -64,8 +63,7 @@ _lock = threading.Lock()
 _compilers = ThreadPoolExecutor(len(UNITS), "supple-nvrtc")
 
 
-@dataclass(frozen=True, slots=True)
-class Program:
+class Program(NamedTuple):
     """A kernel, and what it is specialized for.
 
     The ``unit`` is one of `UNITS`; ``composed`` says whether the map is a composite, or of strokes alone (None:
@@ -177,9 +175,10 @@ def prepare(gpu: CudaDevice, program: Program) -> Future[Any]:
     """Start loading a kernel in a thread; a kernel that must be compiled takes seconds."""
     key = (gpu.number, program)
     with _lock:
-        if key not in _loaded:
-            _loaded[key] = _compilers.submit(_load, gpu, program)
-        return _loaded[key]
+        found = _loaded.get(key)
+        if found is None:
+            found = _loaded[key] = _compilers.submit(_load, gpu, program)
+        return found
 
 
 def _load(gpu: CudaDevice, program: Program) -> Any:
@@ -193,12 +192,12 @@ def _load(gpu: CudaDevice, program: Program) -> Any:
         raise
 
 
-def launch(kernel: Future[Any], job: np.ndarray[Any, Any], stream: Stream, x: int, y: int = 1, z: int = 1) -> None:
-    """Launch a kernel of `prepare` on a stream of the current device, with one argument: a record, which is copied.
+def launch(kernel: Future[Any], job: Any, stream: Stream, x: int, y: int = 1, z: int = 1) -> None:
+    """Launch a kernel of `prepare` on a stream of the current device, with one argument: a `record`, which is copied.
 
     ``x`` is the number of threads with work, in blocks of `THREADS`; ``y`` and ``z`` are numbers of rows and layers of
     blocks.
     """
-    argument = np.array([job.ctypes.data], np.uintp)  # the driver takes an array of pointers to arguments
+    arguments = ctypes.addressof(job)  # the driver takes an array of pointers to arguments
     blocks = max(1, -(-x // THREADS))
-    call("cuLaunchKernel", kernel.result(), blocks, y, z, THREADS, 1, 1, 0, stream.handle, int(argument.ctypes.data), 0)
+    call("cuLaunchKernel", kernel.result(), blocks, y, z, THREADS, 1, 1, 0, stream.handle, arguments, 0)

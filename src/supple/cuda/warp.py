@@ -17,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from supple import _core
+from supple._core.rows import STROKE_DTYPE
 from supple.cuda.device import CudaDevice, Memory, Pinned, Stream
 from supple.cuda.programs import JOB, THREADS, TOLD, Program, launch, prepare, record
 from supple.engine.sampling import BETWEEN, FILTERS, OUTSIDE, Certificate
@@ -47,13 +48,13 @@ class Lattice:
     """Maps of one shape on a GPU (one, or one for each plane), and the nodes at which they are solved.
 
     ``memory`` has the maps (`_core.flatten`); ``places``, the positions of nodes along x, and then along y, int32, in
-    pixels; ``nodes``, the numbers of these.
+    pixels; ``nodes``, the numbers of these. ``composed`` is that of their `Program`.
     """
 
-    spaces: tuple[Space, ...]
     memory: Memory
     places: Memory
     nodes: tuple[int, int]
+    composed: bool | None
 
 
 _lattices: OrderedDict[tuple[Any, ...], Lattice] = OrderedDict()
@@ -61,37 +62,48 @@ _lock = threading.Lock()
 _spare: list[Pinned] = []
 
 
-def size_of(space: Space, tolerance: float) -> int:
-    """Return the distance of nodes, in pixels.
+def sizes_of(spaces: Sequence[Space], axes: Array, tolerance: float) -> tuple[int, int, float]:
+    """Return the distances of nodes, in pixels, beside a border and elsewhere, and how far a border's end is moved.
+
+    ``axes`` are those of all spaces.
 
     A bicubic patch of size h misses a stroke that moves pixels by its own radius r by about 0.15 h⁴/r³. Maps that vary
     over other lengths than radii (fields, masks) get the smallest size. Borders along other axes than the planes' are
     ignored: within a plane, their factors vary no faster than the map.
     """
-    if space.composite is not None or space.freeze is not None or not space.rows.size:
-        return SIZES[0]
-    table = space.table
-    radius2, flat = table["radius2"][:, 0], table["flat"]
-    rims = np.where(flat > 0, np.cbrt(0.25 * radius2 * flat), np.inf)  # at rims of plateaus, strokes vary over these
-    radius, reach = np.minimum(np.sqrt(radius2), rims).min(), table["reach"].min()
-    widths = [length / space.axes[:2, 3].max() for length in (radius, reach / 3)]  # over which a stroke ends, in pixels
-    widths += [sigma / spacing for sigma, spacing in space.axes[:2, 2:4] if sigma > 0]
-    return max([SIZES[0], *(h for h in SIZES if 0.15 * h**4 <= tolerance * min(widths) ** 3)])
+    if any(space.composite is not None or space.freeze is not None for space in spaces):
+        return SIZES[0], SIZES[0], 0.0
+    table = np.concatenate([space.rows for space in spaces]).view(STROKE_DTYPE)
+    radius2, flat, sigmas = table["radius2"][..., 0], table["flat"], axes[:, :2, 2] / axes[:, :2, 3]
+    rims = np.cbrt(0.25 * radius2 * np.where(flat > 0, flat, np.inf))  # at rims of plateaus, strokes vary over these
+    lengths = np.sqrt(radius2), rims, table["reach"] / 3  # over which strokes vary
+    width = min(each.min(initial=np.inf) for each in lengths) / axes[:, :2, 3].max()
+    widths = min(width, sigmas.min(initial=np.inf, where=sigmas > 0)), width
+    near, far = (max([SIZES[0], *(h for h in SIZES if 0.15 * h**4 <= tolerance * each**3)]) for each in widths)
+    moved = np.where(table["power"] == 1, np.linalg.norm(table["force"], axis=-1), np.inf)  # by drags: brushes turn
+    return near, far if (axes == axes[0]).all() else near, moved.max(initial=0.0)
 
 
-def positions(first: int, n: int, axis: npt.NDArray[np.float64], size: int) -> npt.NDArray[np.int32]:
-    """Return the positions of nodes along an axis of ``n`` samples from the ``first`` on, at most ``size`` apart.
+def positions(
+    first: int, n: int, axis: npt.NDArray[np.float64], near: int, far: int, moved: float
+) -> npt.NDArray[np.int32]:
+    """Return the positions of nodes along an axis of ``n`` samples from the ``first`` on.
 
-    ``axis`` is the row of the packed domain. The border's factor has a kink where it reaches 1; nodes there keep cells
-    from crossing it.
+    ``axis`` is the row of the packed domain. Nodes are at most ``near`` apart in the border and as far beyond as its
+    end may be ``moved``, and ``far`` elsewhere. The border's factor has a kink where it reaches 1; nodes there keep
+    cells from crossing it.
     """
     if n == 1:  # a single sample gets a cell, too, which extends beyond the plane
         return np.array([first, first + 1], np.int32)
     low, high, sigma, spacing = axis[:4]
-    kinks = [round(k / spacing) for k in (low + sigma, high - sigma)] if sigma > 0 else []
     end = first + n - 1
-    ends = sorted({first, *(k for k in kinks if first < k < end), end})
-    return np.concatenate([*(np.arange(a, b, size) for a, b in itertools.pairwise(ends)), [end]]).astype(np.int32)
+    ends, inner = {first, end}, (first, end)
+    if sigma > 0:
+        low, high, moved = ((k + by) / spacing for k, by in ((low, sigma), (high, -sigma), (0.0, moved)))
+        inner = round(min(low + moved, high)), round(max(high - moved, low))
+        ends |= {k for k in (round(low), round(high), *inner) if first < k < end}
+    parts = [np.arange(a, b, far if inner[0] <= a < inner[1] else near) for a, b in itertools.pairwise(sorted(ends))]
+    return np.concatenate([*parts, [end]]).astype(np.int32)
 
 
 def _is_small(samples: Samples, *sizes: int) -> bool:
@@ -99,15 +111,13 @@ def _is_small(samples: Samples, *sizes: int) -> bool:
     return sum(abs(step) * (n - 1) for step, n in zip(samples[1:], sizes, strict=True)) < 1 << 31
 
 
-def lattice_of(gpu: CudaDevice, spaces: Sequence[Space], tolerance: float = 0.01) -> Lattice:
+def lattice_of(gpu: CudaDevice, spaces: tuple[Space, ...], tolerance: float = 0.01) -> Lattice:
     """Return the maps of deformations of one shape on a GPU, the current device; the most recent ones stay there."""
-    # The key has ids: the arrays are immutable, and the lattice keeps them alive, so that ids stay unique.
-    parts = [(s.shape, id(s.rows), id(s.axes), id(s.composite), id(s.freeze), s.grid) for s in spaces]
-    key = (gpu.number, tolerance, *parts)
+    key = (gpu.number, tolerance, spaces)
     with _lock:
         found = _lattices.get(key)
         if found is None:
-            found = _lattices[key] = _uploaded(gpu, tuple(spaces), tolerance)
+            found = _lattices[key] = _uploaded(gpu, spaces, tolerance)
             while len(_lattices) > _KEPT:
                 _lattices.popitem(last=False)
         _lattices.move_to_end(key)
@@ -122,17 +132,18 @@ def _uploaded(gpu: CudaDevice, spaces: tuple[Space, ...], tolerance: float) -> L
     memory = Memory(len(_core.flatten(maps, 0)), stream)
     packed = np.frombuffer(_core.flatten(maps, memory.pointer), np.uint8)
     memory.upload(packed)
-    one, axes = spaces[0], spaces[0].axes
-    if any(not np.array_equal(axes, other.axes) for other in spaces[1:]):
-        axes = np.full_like(axes, -1.0)  # different borders get no nodes at their ends: cells across them are rough
-    size = min(size_of(space, tolerance) for space in spaces)
+    one, axes = spaces[0], np.concatenate([space.axes for space in spaces]).reshape(len(spaces), 3, -1)
+    # Different borders get no nodes at their ends: cells across them are rough.
+    borders = axes[0] if (axes == axes[0]).all() else np.full_like(axes[0], -1.0)
+    sizes = sizes_of(spaces, axes, tolerance)
     first = (0, 0) if one.grid is None else one.grid.first[:2]
-    xs, ys = (positions(first[k], n, axes[k], size) for k, n in enumerate(one.planes[:0:-1]))
+    xs, ys = (positions(first[k], n, borders[k], *sizes) for k, n in enumerate(one.planes[:0:-1]))
     places = Memory(4 * (xs.size + ys.size), stream)
     at = np.concatenate([xs, ys])
     places.upload(at)
     stream.synchronize()  # the arrays have been read; any stream may now read the copies
-    return Lattice(spaces, memory, places, (xs.size, ys.size))
+    kinds = {each.composite is not None for each in spaces}
+    return Lattice(memory, places, (xs.size, ys.size), kinds.pop() if len(kinds) == 1 else None)
 
 
 class Told:
@@ -186,8 +197,7 @@ def paint(
     default, as many as scratch memory has room for. The returned lattice must be kept alive until the kernels are done.
     """
     stream, lattice, space = told.there.stream, lattice_of(gpu, spaces, values["tolerance"]), spaces[0]
-    kinds = {each.composite is not None for each in spaces}
-    n, composed = space.ndim, kinds.pop() if len(kinds) == 1 else None
+    n, composed = space.ndim, lattice.composed
     sample, number = _TYPES[dtype.str[1:]]
     way = {name: int(values.get(name, 0)) for name in ("between", "average", "light")}
     wanted = [Program("nodes", n, composed), Program("cells", n, composed)]

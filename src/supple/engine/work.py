@@ -107,7 +107,7 @@ def refuse_mattes(space: Space, where: str) -> None:
         raise SuppleError(f"{what}, which {where} does not take: leave them out, or use the CPU")
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Space:
     """The map as the core takes it, and the number and shape of frames.
 
@@ -161,6 +161,12 @@ class Space:
             return (self.count, *self.shape)
         width, height, *depth = self.grid.sizes
         return depth[0] if depth else self.count, height, width
+
+
+@lru_cache(maxsize=16)
+def on_grid(space: Space, grid: Grid) -> Space:
+    """Return a map with another grid of the output; of the most recent ones, the same object."""
+    return replace(space, grid=grid)
 
 
 @dataclass(frozen=True, slots=True)
@@ -238,6 +244,7 @@ def work_of(
     alpha: bool | None = None,
     *,
     finite: bool = True,
+    items: tuple[Space, ...] | None = None,
 ) -> Work:
     """Return the work on an array of a shape and type: an image or frames, perhaps with channels last.
 
@@ -265,7 +272,7 @@ def work_of(
     layout = Layout((Group(space.shape, channels, alpha=straight),), dtype.newbyteorder("="), white)
     if sampling.fill != 0.0:  # the default fits all
         sampling = replace(sampling, fill=sampling.fills(channels, dtype, finite=finite))
-    return Work(space, layout, sampling)
+    return Work(space, layout, sampling, items)
 
 
 class Deforming(Protocol):
@@ -279,14 +286,13 @@ class Deforming(Protocol):
 def spaces_of(deformations: Any) -> tuple[Space, ...]:
     """Return the spaces of one deformation, or of several of one shape; SuppleError for other values."""
     wanted = "a Deformation, or a sequence of them, of one shape"
-    several = tuple(deformations) if isinstance(deformations, Sequence) else (deformations,)
-    spaces = tuple(space for d in several if isinstance(space := getattr(d, "space", None), Space))
-    if not spaces or len(spaces) < len(several):
+    several = deformations if isinstance(deformations, Sequence) else (deformations,)
+    spaces = tuple([getattr(d, "space", None) for d in several])
+    if {type(space) for space in spaces} != {Space}:
         refuse("deformations", wanted, deformations)
-    shapes = [s.whole for s in spaces]
-    if len(set(shapes)) > 1:
-        other = next(shape for shape in shapes if shape != shapes[0])
-        refuse("deformations", wanted, told=f"shapes {shapes[0]} and {other}")
+    shapes = dict.fromkeys([space.whole for space in spaces])
+    if len(shapes) > 1:
+        refuse("deformations", wanted, told="shapes {} and {}".format(*shapes))
     return spaces
 
 
