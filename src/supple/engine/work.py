@@ -287,7 +287,7 @@ def spaces_of(deformations: Any) -> tuple[Space, ...]:
     """Return the spaces of one deformation, or of several of one shape; SuppleError for other values."""
     wanted = "a Deformation, or a sequence of them, of one shape"
     several = deformations if isinstance(deformations, Sequence) else (deformations,)
-    spaces = tuple([getattr(d, "space", None) for d in several])
+    spaces: tuple[Any, ...] = tuple([getattr(d, "space", None) for d in several])
     if {type(space) for space in spaces} != {Space}:
         refuse("deformations", wanted, deformations)
     shapes = dict.fromkeys([space.whole for space in spaces])
