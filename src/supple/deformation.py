@@ -448,7 +448,8 @@ class Deformation:
     @property
     def space(self) -> Space:
         """The packed map and domain, as the core takes them."""
-        return self.space_on(None, check=False)
+        plain = not self.maps and self.output is self.grid
+        return self._space if plain else self.space_on(None, check=False)
 
     def space_on(
         self, grid: Grid | None, source: Grid | None = None, *, check: bool = True, inverse: bool = False

@@ -177,7 +177,7 @@ class Told:
 
 def paint(
     gpu: CudaDevice,
-    spaces: Sequence[Space],
+    spaces: tuple[Space, ...],
     dtype: np.dtype[Any],
     told: Told,
     source: Samples,

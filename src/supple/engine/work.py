@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from operator import attrgetter
 from typing import Any, Protocol
 
 import numpy as np
@@ -287,12 +288,11 @@ def spaces_of(deformations: Any) -> tuple[Space, ...]:
     """Return the spaces of one deformation, or of several of one shape; SuppleError for other values."""
     wanted = "a Deformation, or a sequence of them, of one shape"
     several = deformations if isinstance(deformations, Sequence) else (deformations,)
-    spaces = tuple([getattr(d, "space", None) for d in several])
+    spaces: tuple[Any, ...] = tuple([getattr(d, "space", None) for d in several])
     if {type(space) for space in spaces} != {Space}:
         refuse("deformations", wanted, deformations)
-    shapes = dict.fromkeys([space.whole for space in spaces])
-    if len(shapes) > 1:
-        refuse("deformations", wanted, told="shapes {} and {}".format(*shapes))
+    if len(set(map(attrgetter("ndim", "count", "shape"), spaces))) > 1:
+        refuse("deformations", wanted, told="shapes {} and {}".format(*dict.fromkeys(s.whole for s in spaces)))
     return spaces
 
 

@@ -30,8 +30,11 @@ INLINE void solve_node(const Job& job) {
         } else {
             const bool known = D == 3 && plane > first && found.at.done;
             for (int d = 0; known && d < D; d++) found.at.p[d] += (slope[d] + bent[d] / 2) * map.axes[2].spacing;
+            // Without a guess, strokes are undone one by one; for those that act at once, q does as well.
+            const bool once = map.chain.count > 0 && map.chain.end_of(0) == map.chain.count && !map.chain[0].turns();
+            for (int d = 0; !known && once && d < D; d++) found.at.p[d] = q[d];
             found = solved<D>(map.chain, map.axes, q, finest_of<D>(map.axes), job.tolerance,
-                              known ? Guess::PATCH : Guess::NONE, found.at);
+                              known ? Guess::PATCH : once ? Guess::POINT : Guess::NONE, found.at);
             for (int d = 0; D == 3 && d < D; d++) {
                 const double now = found.at.m[D - 1][d];
                 bent[d] = known ? now - slope[d] : 0;
