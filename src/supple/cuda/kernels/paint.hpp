@@ -74,9 +74,10 @@ struct Group {
         }
         return sum;
     }
+    // An address for each row: of an offset for each sample, NVRTC 13.0 made those of other samples in some kernels.
     template <int RANK, int TAPS>
     INLINE Sum<N, C> summed(const T* first, const Taps<N, RANK, TAPS>& taps) const {
-        return summed(taps, [&](int i, int j) { return read(first + source_at(job, 0, j, i)); });
+        return summed(taps, [&](int i, int j) { return read(first + source_at(job, 0, j, 0) + source_at(job, 0, 0, i)); });
     }
     INLINE Sum<N, C> constant() const {
         return sum_of([&](int c) { return job.fill[c]; });
@@ -147,8 +148,7 @@ struct Level {
         for (int finer = k - 1; finer >= 0; finer--) i = least(2 * i + (n >> finer & 1), side(count, finer) - 1);
         return i;
     }
-    // A function call, so that the few pixels that need it cost the others no registers. Weights are passed by their
-    // address: of doubles passed by value, NVRTC 13.0 made wrong samples in some kernels.
+    // A function call, so that the few pixels that need it cost the others no registers.
     template <int RANK, int TAPS>
     NOINLINE static Sum<N, C> at_an_edge(const Group<T, N, C>& group, const T* frame, int k, int x, int y,
                                          const Taps<N, RANK, TAPS>& taps) {
