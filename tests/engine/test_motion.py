@@ -241,6 +241,20 @@ def test_at_a_cut_the_nearer_frame_is_shown() -> None:
     assert np.abs(half[0] - half[1]).max() <= 1  # neither is nearer
 
 
+@pytest.mark.parametrize("dtype", ["u1", "i4"])  # sampled in place, and as numbers
+def test_an_average_over_time_ends_at_a_cut(dtype: str) -> None:
+    shots = [np.clip(clip_of([*range(6)]) / 2.6 + low, low, low + 98).astype(dtype) for low in (0, 157)]
+    source = np.concatenate([shots[0], shots[1][:, ::-1, ::-1]])
+    d = Deformation((12, *SIZE), border=None, time=True)
+    d = d.grab((100, 60, 4), by=(0, 0, 4), radius=60, time_radius=6)
+    across = [
+        (np.abs(d.warp(source, between=between, time_filter=True).astype(int) - 127) < 28).mean()
+        for between in ("linear", "flow")
+    ]
+    assert across[0] > 0.01
+    assert across[1] < 0.001  # halfway, one frame becomes the other
+
+
 def test_a_mirrored_clip_plays_backwards() -> None:
     source = clip_of([0, 1, 2])
     d = later(3, SIZE, 3.5)  # frame 2 shows the time -1.5: between 0 and 1, mirrored

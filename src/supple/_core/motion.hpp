@@ -31,14 +31,28 @@ struct Motion {
         const Pixel<float> right = b + (y - (float)j) * (load<float, 4>(q + 4) - b);
         return left + (x - (float)i) * (right - left);
     }
+    // `longest` of the frames k and k + 1; 0 where these are one, or the constant beyond a clip's ends.
+    float longest_after(int k, int count, int rule) const {
+        const int i = placed(k, count, rule), j = placed(k + 1, count, rule);
+        return i < 0 || j < 0 || i == j ? 0 : longest[least(i, j) % capacity];
+    }
     // The longest displacement in the pairs from frame `first` to frame `last`.
     double most_from(int first, int last, int count, int rule) const {
-        double found = 0;
-        for (int k = first; k < last; k++) {
-            const int i = placed(k, count, rule), j = placed(k + 1, count, rule);
-            if (i >= 0 && j >= 0 && i != j) found = most(found, (double)longest[least(i, j) % capacity]);
-        }
+        float found = 0;
+        for (int k = first; k < last; k++) found = most(found, longest_after(k, count, rule));
         return found;
+    }
+    // Give the weights of n frames from `first` on that are beyond a cut, as seen at a time, to the others.
+    template <class N>
+    void cut(double t, int first, int n, int count, int rule, N* weight) const {
+        const int own = least(most((int)floored(t + 0.5) - first, 0), n - 1);
+        int low = own, high = own;
+        while (low > 0 && longest_after(first + low - 1, count, rule) >= 0) low--;
+        while (high < n - 1 && longest_after(first + high, count, rule) >= 0) high++;
+        if (high - low == n - 1) return;
+        N sum = 0;
+        for (int k = 0; k < n; k++) sum += weight[k] *= k >= low && k <= high;
+        for (int k = low; k <= high; k++) weight[k] /= sum;
     }
 };
 
@@ -69,7 +83,7 @@ inline bool Followed::find(const Job& job, const Row<3>& from) {
         for (end = k + 1; end < n && from.whole[2][end] == pair;) end++;
         const int i = placed(pair, job.count, job.rule), j = placed(pair + 1, job.count, job.rule);
         const int slot = least(i, j) % m.capacity;
-        const float longest = i < 0 || j < 0 || i == j ? 0 : m.longest[slot];
+        const float longest = m.longest_after(pair, job.count, job.rule);
         const float forth = longest <= 0 ? 0.0f : i < j ? 1.0f : -1.0f;
         any |= longest != 0;
         stays &= longest >= 0;

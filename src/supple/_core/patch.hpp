@@ -113,8 +113,12 @@ INLINE double round_patch(const double (*c)[16], double w, double h, Leaf<D>& le
     double worst = 0;
     for (int d = 0; d < D; d++) {
         leaf.anchor[d] = (int)within(floored(c[d][0]), -1e9, 1e9);
-        leaf.c[d][0] = (float)within(c[d][0] - leaf.anchor[d], -1e9, 1e9);
-        for (int i = 1; i < 16; i++) leaf.c[d][i] = (float)c[d][i];
+        double down = 3e7;  // limits: no sum overflows, and samples so far away are beyond any edge
+        for (int j = 0; j < 4; j++, down /= h + 2) {
+            double limit = down;
+            for (int i = 4 * j; i < 4 * j + 4; i++, limit /= w + 2)
+                leaf.c[d][i] = (float)within(c[d][i] - (i ? 0 : leaf.anchor[d]), -limit, limit);
+        }
         for (int n = 1; n < 4; n++) {
             double s = n & 1 ? w : 0, t = n & 2 ? h : 0, ds, dt;
             float fs, ft;

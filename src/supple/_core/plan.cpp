@@ -618,10 +618,13 @@ void Plan<D>::fill(const Leaf<D>& leaf, const Grid& grid, int y, int from, int t
     const float t = (float)((on_face ? face_of(axes[1]) : below) - leaf.y);
     const float start = (float)(from * grid.step[0] + grid.offset[0] - leaf.x), stride = (float)grid.step[0];
     const int n = to - from, at = from - left;
+    float s[STRIDE];
+    for (int i = 0; i < n; i++) s[i] = start + stride * (float)i;
     int inner = n;  // samples before the face
     if (axes[0].fixed()) {
         const double face = face_of(axes[0]) - ON_FACE;
         inner = std::clamp((int)floor((face - grid.offset[0]) / grid.step[0]) + 1 - from, 0, n);
+        for (int i = inner; i < n; i++) s[i] = (float)(face_of(axes[0]) - leaf.x);
     }
     float along[D][4], rise[D][4];
     for (int d = 0; d < D; d++)
@@ -630,11 +633,6 @@ void Plan<D>::fill(const Leaf<D>& leaf, const Grid& grid, int y, int from, int t
             along[d][i] = b[0] + t * (b[4] + t * (b[8] + t * b[12]));
             rise[d][i] = b[4] + t * (2 * b[8] + 3 * t * b[12]);
         }
-    const float edge = (float)(face_of(axes[0]) - leaf.x);
-    auto each = [&](auto f) INLINE_LAMBDA {
-        for (int i = 0; i < inner; i++) f(i, start + stride * (float)i);
-        for (int i = inner; i < n; i++) f(i, edge);
-    };
     for (int d = 0; d < D; d++) {
         // In samples of the grid: (p - offset) / step.
         int anchor = leaf.anchor[d];
@@ -646,13 +644,12 @@ void Plan<D>::fill(const Leaf<D>& leaf, const Grid& grid, int y, int from, int t
             shift = (float)(base - anchor);
         }
         const float* a = along[d];
-        each([&](int i, float s) INLINE_LAMBDA {
-            float x = (a[0] + s * (a[1] + s * (a[2] + s * a[3]))) * scale + shift;
-            x = std::min(std::max(x, -1e9f), 1e9f);  // a sample so far away is beyond any edge
+        for (int i = 0; i < n; i++) {
+            const float x = (a[0] + s[i] * (a[1] + s[i] * (a[2] + s[i] * a[3]))) * scale + shift;
             const float whole = floored(x);
             row.whole[d][at + i] = (int)whole + anchor;
             row.part[d][at + i] = x - whole;
-        });
+        }
     }
     for (int i = inner; i < n; i++) {  // no displacement across a face
         row.whole[0][at + i] = from + i;
@@ -666,19 +663,19 @@ void Plan<D>::fill(const Leaf<D>& leaf, const Grid& grid, int y, int from, int t
     for (int d = 0; d < 2; d++) {
         const float *a = along[d], *b = rise[d], to_down = (float)grid.step[1] / grid.step[d],
                     to_across = stride / grid.step[d];
-        each([&](int i, float s) INLINE_LAMBDA {
-            row.across[d][at + i] = (a[1] + s * (2 * a[2] + 3 * s * a[3])) * to_across;
-            row.down[d][at + i] = (b[0] + s * (b[1] + s * (b[2] + s * b[3]))) * to_down;
-        });
+        for (int i = 0; i < n; i++) {
+            row.across[d][at + i] = (a[1] + s[i] * (2 * a[2] + 3 * s[i] * a[3])) * to_across;
+            row.down[d][at + i] = (b[0] + s[i] * (b[1] + s[i] * (b[2] + s[i] * b[3]))) * to_down;
+        }
     }
     if constexpr (D == 3) {
         const float *a = along[2], *b = rise[2], *r = leaf.depth, down = (float)grid.step[1];
-        each([&](int i, float s) INLINE_LAMBDA {
-            float across = (a[1] + s * (2 * a[2] + 3 * s * a[3])) * stride;
-            float dt = (b[0] + s * (b[1] + s * (b[2] + s * b[3]))) * down;
-            float own = r[0] + s * r[1] + t * (r[2] + s * r[3]);
+        for (int i = 0; i < n; i++) {
+            float across = (a[1] + s[i] * (2 * a[2] + 3 * s[i] * a[3])) * stride;
+            float dt = (b[0] + s[i] * (b[1] + s[i] * (b[2] + s[i] * b[3]))) * down;
+            float own = r[0] + s[i] * r[1] + t * (r[2] + s[i] * r[3]);
             row.depth2[at + i] = across * across + dt * dt + own * own;
-        });
+        }
     }
 }
 
@@ -705,9 +702,7 @@ void Plan<D>::fill_pixels(const Root& root, int index, int y, int n, Row<D>& row
 
 // Find the samples that lie outside the ball of every stroke, or are frozen. True if these are all of the row.
 template <int D>
-bool Plan<D>::mark(const Root& root, int index, const Grid& grid, int x, int y, int n, Row<D>& row) const {
-    row.some_same = false;
-    if (!root.rim) return false;
+bool Plan<D>::mark(int index, const Grid& grid, int x, int y, int n, Row<D>& row) const {
     std::fill(row.same, row.same + n, true);
     const Freeze* last = nullptr;  // neighbours often share a mask
     bool frozen[STRIDE];
@@ -766,7 +761,7 @@ void Plan<D>::restore(int index, const Grid& grid, int x, int y, int n, Row<D>& 
     }
     if (!some) return;
     Row<D> state;
-    const bool moved = under->fill_root(grid, index, y, row.sloped ? Slopes::ALL : Slopes::NONE, state);
+    const bool moved = under->fill_root(grid, index, x, x + n, y, row.sloped ? Slopes::ALL : Slopes::NONE, state);
     for (int i = 0; i < n; i++) {
         if (!frozen[i]) continue;
         if (!moved || (state.some_same && state.same[i])) {
@@ -795,24 +790,24 @@ inline bool may_shrink(const Grid& grid, float largest, bool composite) {
 
 // Fill the samples of a root in a row; false if all are the identity, and nothing is set.
 template <int D>
-bool Plan<D>::fill_root(const Grid& grid, int index, int y, Slopes slopes, Row<D>& row) const {
+bool Plan<D>::fill_root(const Grid& grid, int index, int left, int right, int y, Slopes slopes, Row<D>& row) const {
     const Root& root = roots[index];
-    if (root.held) return under->fill_root(grid, index, y, slopes, row);
+    if (root.held) return under->fill_root(grid, index, left, right, y, slopes, row);
     const Band& band = bands[root.band];
     const double at = y * grid.step[1] + grid.offset[1];
-    int left, right;
-    columns_of(grid, index % across, left, right);
-    row.idle = is_still(index) || (mark(root, index, grid, left, y, right - left, row) && !under);
+    row.some_same = false;
+    row.idle = is_still(index) || (root.rim && mark(index, grid, left, y, right - left, row) && !under);
     if (row.idle) return false;
     row.sloped =
         slopes == Slopes::ALL || (slopes == Slopes::SHRINKING && may_shrink(grid, root.largest, map != nullptr));
     if (root.first_pixel >= 0) fill_pixels(root, index, y, right - left, row);
+    const int first = column(index % across);
     for (int l = root.first; l >= 0; l = band.next[l]) {
         const Leaf<D>& leaf = band.leaves[l];
         bool lowest = leaf.y + leaf.h >= size[1], rightmost = leaf.x + leaf.w >= size[0];
         if (at < leaf.y ? leaf.y > 0 : !lowest && at >= leaf.y + leaf.h) continue;
-        int from = leaf.x == 0 ? 0 : grid.from(0, leaf.x);
-        int to = rightmost ? grid.size[0] : grid.from(0, leaf.x + leaf.w);
+        const int from = leaf.x == first ? left : grid.from(0, leaf.x);
+        const int to = rightmost || leaf.x + leaf.w == first + ROOT ? right : grid.from(0, leaf.x + leaf.w);
         if (from < to) fill(leaf, grid, y, from, to, left, row);
     }
     row.count = right - left;
@@ -826,24 +821,20 @@ template <int D>
 void Plan<D>::each_row(const Grid& grid, int root_row, const int (&box)[4], Slopes slopes, const Use& use) const {
     Row<D> row{};  // vectors of eight read past a row's end
     int top, bottom;
-    rows_of(grid, root_row, top, bottom);
-    // The roots that the box meets: from one to the next, columns never decrease.
+    part_of(grid, 1, root_row, top, bottom);
+    std::vector<int> starts(across + 1);  // of the roots' samples, which never decrease
+    for (int i = 0; i < across; i++) part_of(grid, 0, i, starts[i], starts[i + 1]);
     int begin = 0, end = across;
-    for (int left, right; begin < end; begin++)
-        if (columns_of(grid, begin, left, right), right > box[0]) break;
-    for (int left, right; end > begin; end--)
-        if (columns_of(grid, end - 1, left, right), left < box[1]) break;
+    while (begin < end && starts[begin + 1] <= box[0]) begin++;
+    while (begin < end && starts[end - 1] >= box[1]) end--;
     // Whole rows, so that frames are read, and results written, in order.
-    for (int y = std::max(top, box[2]); y < std::min(bottom, box[3]); y++) {
+    for (int y = std::max(top, box[2]); y < std::min(bottom, box[3]); y++)
         for (int i = begin; i < end; i++) {
-            int left, right;
-            columns_of(grid, i, left, right);
-            const int a = std::max(left, box[0]), b = std::min(right, box[1]);
+            const int left = starts[i], a = std::max(left, box[0]), b = std::min(starts[i + 1], box[1]);
             if (a >= b) continue;
-            const bool moved = fill_root(grid, root_row * across + i, y, slopes, row);
+            const bool moved = fill_root(grid, root_row * across + i, left, starts[i + 1], y, slopes, row);
             use(row, a, y, b - a, moved ? a - left : 0);
         }
-    }
 }
 
 // ---- bounds of the whole --------------------------------------------------------------------------------------------

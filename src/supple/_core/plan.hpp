@@ -135,14 +135,10 @@ public:
     Extent<D> extent(int root) const;
     Extent<D> extent() const;
     int roots_across() const { return across; }
-    // The samples x0 to x1 - 1 of a grid that lie in a column of roots.
-    void columns_of(const Grid& grid, int i, int& x0, int& x1) const {
-        x0 = i == 0 ? 0 : grid.from(0, column(i));
-        x1 = i == across - 1 ? grid.size[0] : grid.from(0, column(i + 1));
-    }
-    void rows_of(const Grid& grid, int j, int& y0, int& y1) const {
-        y0 = j == 0 ? 0 : grid.from(1, line(j));
-        y1 = j == down - 1 ? grid.size[1] : grid.from(1, line(j + 1));
+    // The samples `from` to `to` - 1 of a grid that lie in a column of roots, or in a row of them.
+    void part_of(const Grid& grid, int axis, int i, int& from, int& to) const {
+        from = i == 0 ? 0 : grid.from(axis, i * ROOT);
+        to = i == (axis ? down : across) - 1 ? grid.size[axis] : grid.from(axis, (i + 1) * ROOT);
     }
     // The largest distance to T⁻¹(q), measured at every pixel; and the number of pixels where it could not be measured.
     Checks measure(double finest) const;
@@ -205,9 +201,9 @@ private:
     NOINLINE void fill(const Leaf<D>& leaf, const Grid& grid, int y, int from, int to, int left,
                        Row<D>& __restrict row) const;
     void widen(const Leaf<D>& leaf, Extent<D>& e) const;
-    bool mark(const Root& root, int index, const Grid& grid, int x, int y, int n, Row<D>& row) const;
+    bool mark(int index, const Grid& grid, int x, int y, int n, Row<D>& row) const;
     void same(Row<D>& row, int i, int x, int y) const;
-    bool fill_root(const Grid& grid, int index, int y, Slopes slopes, Row<D>& row) const;
+    bool fill_root(const Grid& grid, int index, int left, int right, int y, Slopes slopes, Row<D>& row) const;
     void restore(int index, const Grid& grid, int x, int y, int n, Row<D>& row) const;
     void fill_pixels(const Root& root, int index, int y, int n, Row<D>& row) const;
     double reserve() const { return map || freeze ? ROUGH : RESERVE; }

@@ -168,26 +168,33 @@ INLINE void sum_frames(const Frames<T>& f, const Windows& at, int before, Weight
     }
 }
 
-// Sample pixels k to k + n - 1 of a row: as linear or cubic samples, or spots where FILTER is AUTO. False where their
-// windows lie too far apart, or go beyond an edge.
-template <Filter FILTER, int C, bool SEVERAL, class T, int D, class MixOf>
-NOINLINE bool sample_block(const Frames<T>& f, const Row<D>& row, const Prints& prints, int k, int n,
-                           const MixOf& mix_of, Eight* sum) {
+// Sample the pixels `from` to `end` - 1 of a row in blocks from k on, while these are of one kind: linear or cubic
+// samples, or spots where FILTER is AUTO. Returns the first block whose windows lie too far apart, or go beyond an
+// edge.
+template <Filter FILTER, int C, bool SEVERAL, class T, int D, class MixOf, class Put>
+NOINLINE int sample_blocks(const Frames<T>& f, const Row<D>& row, const Prints& prints, int k, int from, int end,
+                           const MixOf& mix_of, const Put& put) {
     constexpr bool spots = FILTER == AUTO;
     constexpr int before = FILTER == LINEAR ? 0 : 1, taps = FILTER == LINEAR ? 2 : spots ? WINDOW : 4;
-    Windows at((spots ? prints.x : row.whole[0]) + k, (spots ? prints.y : row.whole[1]) + k, n);
-    Times times;
-    if (!at.template readable<C>(f, before, taps - 1 - before) || !mix_of(k, n, times)) return false;
-    Weights<spots ? 2 : 1, taps> w;
-    if constexpr (spots)
-        spot_weights(prints, k, w);
-    else
-        for (int d = 0; d < 2; d++) {
-            Eight part = load<float, BLOCK>(row.part[d] + k), *to = d ? w.down[0] : w.across[0];
-            FILTER == LINEAR ? linear_weights(part, to) : cubic_weights(part, to);
-        }
-    sum_frames<C, SEVERAL>(f, at, before, w, times, sum);
-    return true;
+    for (const bool some = prints.any; k < end; k += BLOCK) {
+        const int n = std::min(BLOCK, row.count - k);
+        if (some && most_of(first_of(prints.kind + k, n)) != (spots ? SPOT : PLAIN)) break;
+        Windows at((spots ? prints.x : row.whole[0]) + k, (spots ? prints.y : row.whole[1]) + k, n);
+        Times times;
+        if (!at.template readable<C>(f, before, taps - 1 - before) || !mix_of(k, n, times)) break;
+        Weights<spots ? 2 : 1, taps> w;
+        if constexpr (spots)
+            spot_weights(prints, k, w);
+        else
+            for (int d = 0; d < 2; d++) {
+                Eight part = load<float, BLOCK>(row.part[d] + k), *to = d ? w.down[0] : w.across[0];
+                FILTER == LINEAR ? linear_weights(part, to) : cubic_weights(part, to);
+            }
+        Eight sum[C];
+        sum_frames<C, SEVERAL>(f, at, before, w, times, sum);
+        put(k, std::max(k, from), std::min(k + BLOCK, end), sum);
+    }
+    return k;
 }
 #endif
 
@@ -303,19 +310,14 @@ INLINE void sample_row(const Frames<T>& f, const Pyramid<N>& pyramid, int filter
 #if defined(__AVX2__)
     if constexpr (sizeof(N) == sizeof(float) && C <= 2) {
         // The positions of blocks in a root do not depend on the wanted part.
-        for (int k = from & -BLOCK; k < end; k += BLOCK) {
-            int n = std::min(BLOCK, row.count - k);
-            int kind = prints.any && filter == AUTO ? most_of(first_of(prints.kind + k, n)) : PLAIN;
-            Eight v[C];
-            bool done = kind == WIDE       ? false
-                        : kind == SPOT     ? sample_block<AUTO, C, SEVERAL>(f, row, prints, k, n, mix_of, v)
-                        : filter == LINEAR ? sample_block<LINEAR, C, SEVERAL>(f, row, prints, k, n, mix_of, v)
-                                           : sample_block<CUBIC, C, SEVERAL>(f, row, prints, k, n, mix_of, v);
-            int first = std::max(k, from), last = std::min(k + BLOCK, end);
-            if (done)
-                put(k, first, last, v);
-            else
-                one_by_one({k, k + n}, first, last);
+        for (int k = from & -BLOCK, next; k < end; k = next) {
+            next = filter == LINEAR ? sample_blocks<LINEAR, C, SEVERAL>(f, row, prints, k, from, end, mix_of, put)
+                                    : sample_blocks<CUBIC, C, SEVERAL>(f, row, prints, k, from, end, mix_of, put);
+            if (next == k && prints.any)
+                next = sample_blocks<AUTO, C, SEVERAL>(f, row, prints, k, from, end, mix_of, put);
+            if (next > k) continue;
+            next = k + BLOCK;
+            one_by_one({k, std::min(next, row.count)}, std::max(k, from), std::min(next, end));
         }
         return;
     }

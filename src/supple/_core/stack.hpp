@@ -243,6 +243,7 @@ struct Mixing {
     const void* const* frames;  // those of the span; null: the constant
     bool pairs;                 // whether every sample needs at most two adjacent frames, all of them present
     bool whole = true;          // whether every sample needs one frame
+    bool one = false;           // whether all samples lie between the same two frames
 
     Mixing(const Job& job, Span span, const Row<D>& row, N* weight, const void* const* frames)
         : job(job), span(span), row(row), weight(weight), frames(frames), pairs(false) {
@@ -255,6 +256,7 @@ struct Mixing {
                 between |= row.part[2][k] != 0;
             }
             whole = !between;
+            one = first == last;
             pairs = first >= span.first && last < span.last;
             for (int k = first; pairs && k <= last + 1; k++) pairs = frames[k - span.first] != nullptr;
         }
@@ -274,6 +276,7 @@ struct Mixing {
         double t = row.whole[2][k] + (double)row.part[2][k], width = job.average ? covered(row.depth2[k]) : 0;
         if (job.rule != REFLECT) t = std::clamp(t, -3.0 - LONGEST / 2, job.count + 2.0 + LONGEST / 2);
         int first, n = time_weights(job.between, t, width, first, weight);
+        if (job.average && job.motion.capacity) job.motion.cut(t, first, n, job.count, job.rule, weight);
         first -= span.first;
         if (first < 0 || first + n > span.last - span.first + 1) {  // rounding at the ends of a span
             first = std::clamp(first, 0, std::max(span.last - span.first + 1 - n, 0));
@@ -291,8 +294,15 @@ struct Mixing {
         if constexpr (D == 2) return true;
         times.first = std::numeric_limits<int>::max();
         if (pairs) {
+            const Eight part = load<float, BLOCK>(row.part[2] + k);
+            if (one) {
+                times.first = row.whole[2][k] - span.first;
+                times.count = whole ? 1 : 2;
+                times.weight[0] = 1 - part;
+                times.weight[1] = part;
+                return true;
+            }
             const Eights at = first_of(row.whole[2] + k, n) - span.first;
-            Eight part = load<float, BLOCK>(row.part[2] + k);
             times.first = least_of(at, times.count);
             times.count += whole ? 1 : 2;
             if (times.count > Times::MOST) return false;
@@ -370,12 +380,6 @@ inline Slopes slopes_of(const Job& job) {
     return job.average ? Slopes::ALL : job.filter == AUTO ? Slopes::SHRINKING : Slopes::NONE;
 }
 
-// The source frame of an unchanged plane, or null.
-template <int D>
-inline const char* own_frame(const Plan<D>& plan, const Job& job) {
-    return D == 2 ? job.frames : job.frame((int)plan.z);
-}
-
 template <int D>
 void sample_nearest(const Plan<D>& plan, const Job& job) {
     const ptrdiff_t size = job.pixel_bytes();
@@ -389,9 +393,9 @@ void sample_nearest(const Plan<D>& plan, const Job& job) {
         numbers.constant(group, values);
         numbers.store(values, 1, group, fill.data());
     }
+    const char* own = job.frame((int)plan.z);
     parallel(plan.roots_down(), [&](int j, int) {
         plan.each_row(job.grid, j, job.box, Slopes::NONE, [&](const Row<D>& row, int x, int y, int n, int at) {
-            const char* own = own_frame(plan, job);
             if (row.idle) return copy_same(job, own, x, y, n, nullptr);
             char* to = job.target(x, y);
             auto copy = [&](auto size) {
@@ -469,7 +473,7 @@ struct Scratch {
 template <class N, int D>
 bool follow(const Job& job, const Sampler<N, D>& sample, const Row<D>& row, Scratch<N>& s, int at, int n) {
     if constexpr (D == 3) {
-        if (!job.motion.capacity || !s.followed.find(job, row)) return false;
+        if (!s.followed.find(job, row)) return false;
         Pixel<N> own[STRIDE];
         std::fill(s.numbers + at, s.numbers + at + n, Pixel<N>{});
         bool found = false;
@@ -491,12 +495,12 @@ bool follow(const Job& job, const Sampler<N, D>& sample, const Row<D>& row, Scra
 // Sample frames in place.
 template <int D>
 void sample_direct(const Plan<D>& plan, const Job& job, const Sampler<float, D>& sample) {
+    const char* own = job.frame((int)plan.z);
     parallel(plan.roots_down(), [&](int j, int) {
         Scratch<float> s;
         plan.each_row(job.grid, j, job.box, slopes_of(job), [&](const Row<D>& row, int x, int y, int n, int at) {
-            const char* own = own_frame(plan, job);
             if (row.idle) return copy_same(job, own, x, y, n, nullptr);
-            if (follow(job, sample, row, s, at, n))
+            if (job.motion.capacity && follow(job, sample, row, s, at, n))
                 sample.put(s.numbers, at, n, job.target(x, y));
             else {
                 s.prints.find(row, job.filter);
@@ -525,13 +529,13 @@ void sample_converted(const Plan<D>& plan, const Job& job) {
             std::vector<const N*> frames(whole.last - whole.first + 1);
             for (int i = 0; i < plan.roots_across(); i++) {
                 int index = j * plan.roots_across() + i, box[4], wanted[4] = {0, 0, job.box[2], job.box[3]};
-                plan.columns_of(job.grid, i, wanted[0], wanted[1]);
+                plan.part_of(job.grid, 0, i, wanted[0], wanted[1]);
                 wanted[0] = std::max(wanted[0], job.box[0]);
                 wanted[1] = std::min(wanted[1], job.box[1]);
                 if (wanted[0] >= wanted[1]) continue;
                 if (plan.is_still(index)) {
                     plan.each_row(job.grid, j, wanted, Slopes::NONE, [&](const Row<D>&, int x, int y, int n, int) {
-                        copy_same(job, own_frame(plan, job), x, y, n, nullptr);
+                        copy_same(job, job.frame((int)plan.z), x, y, n, nullptr);
                     });
                     continue;
                 }
@@ -563,13 +567,13 @@ void sample_converted(const Plan<D>& plan, const Job& job) {
                 const Reader<N, N, 4, D> four(job, span, held, pyramid);
                 const Sampler<N, D>& sample = numbers.lanes == 1 ? (const Sampler<N, D>&)one : four;
                 plan.each_row(job.grid, j, wanted, slopes_of(job), [&](const Row<D>& row, int x, int y, int n, int at) {
-                    if (row.idle) return copy_same(job, own_frame(plan, job), x, y, n, nullptr);
-                    if (!follow(job, sample, row, s, at, n)) {
+                    if (row.idle) return copy_same(job, job.frame((int)plan.z), x, y, n, nullptr);
+                    if (!job.motion.capacity || !follow(job, sample, row, s, at, n)) {
                         s.prints.find(row, job.filter);
                         sample(row, s.prints, s.weight, at, n, nullptr, s.numbers);
                     }
                     numbers.store((const N*)(s.numbers + at), n, group, job.target(x, y));
-                    if (row.some_same) copy_same(job, own_frame(plan, job), x, y, n, row.same + at);
+                    if (row.some_same) copy_same(job, job.frame((int)plan.z), x, y, n, row.same + at);
                 });
             }
         });
@@ -633,8 +637,8 @@ Portion needed(const Plan<D>& plan, const Job& job) {
         for (int i = 0; i < plan.roots_across(); i++) {
             Portion part;
             int wanted[4];
-            plan.columns_of(job.grid, i, wanted[0], wanted[1]);
-            plan.rows_of(job.grid, j, wanted[2], wanted[3]);
+            plan.part_of(job.grid, 0, i, wanted[0], wanted[1]);
+            plan.part_of(job.grid, 1, j, wanted[2], wanted[3]);
             for (int d = 0; d < 4; d += 2) {
                 wanted[d] = std::max(wanted[d], job.box[d]);
                 wanted[d + 1] = std::min(wanted[d + 1], job.box[d + 1]);

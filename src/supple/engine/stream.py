@@ -88,8 +88,7 @@ def run(
             write(arrays, z, still=bool(plan.still[z]))
             certificate |= known
             tell("warp", z + 1, count)
-        for _ in frames:
-            pass
+        deque(frames, maxlen=0)
     return Done(certificate, int(plan.still.sum()), plan.capacity)
 
 
@@ -125,7 +124,9 @@ def make_plan(work: Work, planes: Sequence[int], tell: Tell = silent) -> Plan:
         still |= [z not in work.bent for z in planes]
     if space.ndim == 3 and not space.is_identity:
         support = SUPPORT[sampling.between_frames]
-        earliest, latest = _times_seen(sampling.outside, count, sampling.averages_frames)
+        # Beyond these times, an edge or a constant continues unchanged.
+        beyond = 3.0 + (LONGEST / 2 if sampling.averages_frames else 0.0)
+        earliest, latest = (-1e9, 1e9) if sampling.outside == "reflect" else (-beyond, count - 1.0 + beyond)
         step = work.layout.step
         for k, z in enumerate(planes):
             if not still[k]:
@@ -155,14 +156,6 @@ def _frames_needed(first: int, last: int, count: int, outside: str) -> tuple[int
         seen = np.minimum(k, 2 * count - 1 - k)
         return int(seen.min()), int(seen.max())
     return min(max(first, 0), count - 1), min(max(last, 0), count - 1)
-
-
-def _times_seen(outside: str, count: int, average: bool) -> tuple[float, float]:
-    """Return the times beyond which an edge or a constant continues unchanged."""
-    beyond = 3.0 + (LONGEST / 2 if average else 0.0)
-    if outside == "reflect":
-        return -1e9, 1e9
-    return -beyond, count - 1.0 + beyond
 
 
 def stream(
@@ -200,9 +193,7 @@ def stream(
             left = max(memory - sum(frames.nbytes for frames in window), 0)
             (fields,) = stack.enter_context(buffers([Motion.shape_of(work, capacity)], np.float32, left, full))
             motion = Motion(work, window, fields)
-        every = None  # one map for all frames
-        if space.ndim == 2 and work.items is None:
-            every = plan_of(space, 0, tolerance, step)
+        every = plan_of(space, 0, tolerance, step) if space.ndim == 2 and work.items is None else None  # one map
         read = _reading(iter(frames), work, plan, window, first)
         for k, z in enumerate(plan.planes):
             read(k)
@@ -220,6 +211,8 @@ def stream(
                 if motion is not None:
                     low, high, _, _ = solved.extent()
                     times = math.floor(low[2] + _SLACK), math.ceil(high[2] - _SLACK)
+                    if work.sampling.averages_frames:  # cuts are looked for in all frames of an average
+                        times = int(plan.first[k]), int(plan.last[k])
                     moving = motion.between(range(*_frames_needed(*times, count, work.sampling.outside)))
                 for each in samplings_of(work, held, outs, count, moving=moving):
                     solved.sample(each)
