@@ -16,7 +16,7 @@ from supple.engine.sampling import Sampling
 from supple.engine.stream import make_plan
 from supple.engine.work import Group, Layout, Work
 from tests import effort, reference
-from tests.engine.streams import COUNT, LAYOUTS, SHAPE, Array, bent, layout_of, noise, streamed
+from tests.engine.streams import COUNT, LAYOUTS, PLAIN, SHAPE, Array, bent, layout_of, noise, streamed
 
 pytestmark = pytest.mark.filterwarnings("ignore::supple.FoldWarning")
 Floats = npt.NDArray[np.float64]
@@ -172,6 +172,20 @@ def test_a_plan_holds_all_that_is_needed_and_little_more(seed: int) -> None:
         assert plan.keep.min() >= 0
         assert plan.read.max() < count
         assert plan.capacity == (plan.read - plan.keep).max() + 1
+
+
+def test_lattices_are_solved_once_if_there_is_room(monkeypatch: pytest.MonkeyPatch) -> None:
+    d, layout = bent(), layout_of()
+    arrays = noise(layout)
+    plan = make_plan(Work(d.space, layout, PLAIN), range(COUNT))
+    assert sorted(plan.solved) == np.flatnonzero(~plan.still).tolist()
+    sizes = [each.nbytes for each in plan.solved.values()]
+    made, used, _ = streamed(d.space, layout, arrays)
+    assert not used.solved
+    monkeypatch.setattr("supple.engine.stream._KEPT", sum(sizes[:2]))
+    assert list(make_plan(Work(d.space, layout, PLAIN), range(COUNT)).solved) == sorted(plan.solved)[:2]
+    for one, other in zip(streamed(d.space, layout, arrays)[0], made, strict=True):
+        np.testing.assert_array_equal(one, other)
 
 
 def test_a_time_filter_needs_more_frames() -> None:

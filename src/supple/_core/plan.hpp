@@ -134,6 +134,13 @@ public:
     // Bounds of the source points of a root, or of all.
     Extent<D> extent(int root) const;
     Extent<D> extent() const;
+    // The memory of what is solved, in bytes.
+    size_t nbytes() const {
+        size_t sum = under ? under->nbytes() : 0;
+        for (const Band& b : bands)
+            sum += b.leaves.size() * sizeof(Leaf<D>) + b.pixels.size() * sizeof(Pixel) + sizeof(Extent<D>) * across;
+        return sum;
+    }
     int roots_across() const { return across; }
     // The samples `from` to `to` - 1 of a grid that lie in a column of roots, or in a row of them.
     void part_of(const Grid& grid, int axis, int i, int& from, int& to) const {

@@ -321,6 +321,7 @@ void bind_plans(nb::module_& m) {
         .def_prop_ro("folds", [](const AnyPlan& p) { return p.checks().folds; })
         .def_prop_ro("outside", [](const AnyPlan& p) { return p.checks().outside; })
         .def_prop_ro("identity", [](const AnyPlan& p) { return p.with([](auto& plan) { return plan.identity; }); })
+        .def_prop_ro("nbytes", [](const AnyPlan& p) { return p.with([](auto& plan) { return plan.nbytes(); }); })
         .def(
             "extent", [](const AnyPlan& p) { return p.with([](auto& plan) { return extent_of(plan); }); },
             "Return the least and the largest coordinates of source points, how far any is from q, and the largest "

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 import numpy.typing as npt
 
+from supple import _core
 from supple.engine.core import certificate_of, plan_of, samplings_of
 from supple.engine.memory import buffers
 from supple.engine.motion import Motion
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
     from concurrent.futures import Future
 
 SUPPORT = {"nearest": 1, "linear": 1, "cubic": 2, "flow": 1}
+_KEPT = 1 << 27  # bytes of lattices
 _SLACK = 1e-3  # frames: points are of float32, and may lie a little outside of the bounds of a plan
 _AHEAD = 2  # planes in the queue of the writer
 
@@ -99,7 +101,7 @@ class Plan:
     ``planes`` are those to compute, in ascending order. Each samples the frames from ``first`` to ``last``, some
     perhaps outside the clip, and is ``still`` if all displacements are within the tolerance. When it is computed,
     frames before ``keep`` are no longer needed, and all up to ``read`` have been read; ``capacity`` frames are held at
-    once.
+    once. The lattices of the first planes are kept as ``solved``, as many as fit `_KEPT` bytes, until they are used.
     """
 
     planes: tuple[int, ...]
@@ -109,6 +111,7 @@ class Plan:
     keep: npt.NDArray[np.int64]
     read: npt.NDArray[np.int64]
     capacity: int
+    solved: dict[int, _core.Plan]
 
 
 def make_plan(work: Work, planes: Sequence[int], tell: Tell = silent) -> Plan:
@@ -119,6 +122,7 @@ def make_plan(work: Work, planes: Sequence[int], tell: Tell = silent) -> Plan:
     space, sampling = work.space, work.sampling
     n, count = len(planes), space.count
     first, last = np.array(planes, np.int64), np.array(planes, np.int64)
+    solved: dict[int, _core.Plan] = {}
     still = np.array([space.is_identity if work.items is None else work.items[z].is_identity for z in planes], bool)
     if work.bent is not None:
         still |= [z not in work.bent for z in planes]
@@ -127,7 +131,7 @@ def make_plan(work: Work, planes: Sequence[int], tell: Tell = silent) -> Plan:
         # Beyond these times, an edge or a constant continues unchanged.
         beyond = 3.0 + (LONGEST / 2 if sampling.averages_frames else 0.0)
         earliest, latest = (-1e9, 1e9) if sampling.outside == "reflect" else (-beyond, count - 1.0 + beyond)
-        step = work.layout.step
+        step, room = work.layout.step, _KEPT
         for k, z in enumerate(planes):
             if not still[k]:
                 plan = plan_of(space, z, sampling.tolerance, step)
@@ -140,13 +144,16 @@ def make_plan(work: Work, planes: Sequence[int], tell: Tell = silent) -> Plan:
                 early, late = (min(max(t, earliest), latest) for t in (low[2] - _SLACK, high[2] + _SLACK))
                 first[k] = math.floor(early - beyond) - support + 1
                 last[k] = math.floor(late + beyond) + support
+                room -= plan.nbytes
+                if room >= 0:
+                    solved[z] = plan
             if k % 64 == 63 or k == n - 1:
                 tell("plan", k + 1, n)
     needed = np.array([_frames_needed(a, b, count, sampling.outside) for a, b in zip(first, last, strict=True)])
     keep = np.minimum.accumulate(needed[::-1, 0])[::-1]
     # A plane has the timestamp of its frame, which must have been read, too.
     read = np.maximum.accumulate(np.maximum(needed[:, 1], planes)) if n else needed[:, 1]
-    return Plan(tuple(planes), first, last, still, keep, read, int((read - keep).max()) + 1)
+    return Plan(tuple(planes), first, last, still, keep, read, int((read - keep).max()) + 1, solved)
 
 
 def _frames_needed(first: int, last: int, count: int, outside: str) -> tuple[int, int]:
@@ -203,7 +210,9 @@ def stream(
                     out[...] = kept[z % capacity]
             else:
                 space, held, count = work.space if work.items is None else work.items[z], window, work.space.count
-                solved = every or plan_of(space, z if space.ndim == 3 else 0, tolerance, step)
+                solved = (
+                    every or plan.solved.pop(z, None) or plan_of(space, z if space.ndim == 3 else 0, tolerance, step)
+                )
                 if space.ndim == 2:  # each frame is an image of its own
                     slot = z % capacity
                     held, count = [frame[slot : slot + 1] for frame in window], 1
