@@ -169,7 +169,7 @@ void raster(const Look& look, Triples points, Array<const float, -1, 3> normals,
     unlocked([&] { Raster(look, rays, mesh, out.data()); });
 }
 
-// The smallest and the largest sample of each brick, `brick` voxels wide.
+// The smallest and the largest sample of each brick.
 void brick_ranges(Samples samples, Solid<float> lows, Solid<float> highs) {
     const auto n = sizes(samples), bricks = sizes(lows);
     for (int i = 0; i < 3; i++)

@@ -75,7 +75,7 @@ def domain(axes: Floats, freeze: Mask | None = None) -> npt.NDArray[np.void]:
         several = size > 1
         parts, powers = np.frexp(freeze.step)
         step = np.ldexp(np.round(parts * 2**_EXACT), powers - _EXACT)
-        out["mask_size"] = *size, freeze.step[several].min(initial=np.inf)
+        out["mask_size"][:3] = size
         out["mask_first"][:3], out["mask_step"][:3] = freeze.first, step
         out["mask_first_rest"][:3] = freeze.first - out["mask_first"][:3].astype(np.float64)
         out["mask_step_rest"][:3], out["mask_per_step"][:3] = freeze.step - step, several / freeze.step
@@ -92,11 +92,11 @@ def packed_mask(gpu: Gpu, freeze: Mask | None) -> npt.NDArray[np.uint16]:
     size = 2 * freeze.coefficients.size
     if size > gpu.binding:
         raise MemoryError(f"{size >> 20} MB of a freeze mask are more than a shader takes")
-    return _calmed(freeze)
+    return _packed_once(freeze)
 
 
 @lru_cache(maxsize=4)
-def _calmed(freeze: Mask) -> npt.NDArray[np.uint16]:
+def _packed_once(freeze: Mask) -> npt.NDArray[np.uint16]:
     low = high = freeze.coefficients
     for axis in range(3):
         if low.shape[axis] > 1:  # over the four coefficients around each cell

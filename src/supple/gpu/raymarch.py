@@ -145,7 +145,7 @@ def _rays(
     if most < 1 or width > 8 * MOST_GROUPS:
         raise MemoryError("a row of pixels of so many rays is more than a shader takes")
     mode = PLAIN if held.filled() else held.mode
-    kept = held.volume.paces.setdefault(mode, Pace(RAYS))
+    kept = held.volume.paces.setdefault((mode, held.strokes.count), Pace(RAYS))
     pace = Pace(max(1, kept.count // rays), most)
     wide = min(len(look.table) + 1, ROW)
     colours = np.stack([np.pad(look.table, ((0, 1), (0, 0))), look.sums]).astype(np.float32)

@@ -22,7 +22,7 @@ from supple.gpu.memory import blank, owned, upload
 Array = npt.NDArray[Any]
 
 CELL = 16  # pixels of the window from node to node
-BLOCK = 16  # voxels along a brick's side
+BLOCK = 16  # voxels along the side of a block of a buffer
 ROW = 2048  # entries of a transfer function in a layer of its texture
 PLAIN, EXACT = 0, 1  # how rays find source points
 FAR = 3e38  # in place of a depth, where there is none

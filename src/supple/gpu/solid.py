@@ -30,7 +30,8 @@ class Volume:
     warped: Any = None  # the texture for a deformed volume, in float32: see `beside`
     full: bool = False  # whether its allocation failed
     owner: object = None  # the key of the filling that owns that texture, if any: see `supple.gpu.solid.Filling`
-    paces: dict[int, Pace] = field(default_factory=dict)  # the number of rays in one part of a picture, for each mode
+    # The number of rays in one part of a picture, for each mode and number of strokes.
+    paces: dict[tuple[int, int], Pace] = field(default_factory=dict)
 
 
 def hold(gpu: Gpu, samples: Array, labelled: bool = False, colours: Array | None = None) -> Volume:

@@ -219,7 +219,7 @@ class Scene:
         self.samples, self.error, self.coarse = self._original, 0.0, 1
         self._colours = self._paint  # the colours of ``samples``; those of the original
         if deformation is not None and self.mode != "exact":
-            self.error = self.tolerance
+            self.error = self.tolerance if held is None or held.filling is not None else 0.0
             if held is None:
                 self.coarse = coarse
                 if coarse not in self._thin:
@@ -338,7 +338,9 @@ class Scene:
         if held is not None:
             done = tried(
                 held.volume.gpu,
-                lambda: shading.march(held, self._look(view, held.filled()), (height, width), fine, ends),
+                lambda: shading.march(
+                    held, self._look(view, copied) if (copied := held.filled()) else look, (height, width), fine, ends
+                ),
                 2,
                 "the CPU did what {} could not",
             )
@@ -419,7 +421,7 @@ class Scene:
         Parameters
         ----------
         seconds : float
-            The approximate time; at least one brick of 16³ voxels is filled.
+            The approximate time; at least one block of 16³ voxels is filled.
 
         Returns
         -------

@@ -37,7 +37,7 @@ struct Domain {
     sigma: vec4f, // of the fixed border; below 0 if it is free, and 0 for an axis without displacement
     spacing: vec4f, // and the unit of errors, see field.py
     profile: vec4f, // of the fixed border along each axis: QUARTIC or SINE
-    mask_size: vec4f, // coefficients of the freeze mask along each axis, and the least step from one to the next
+    mask_size: vec4f, // coefficients of the freeze mask along each axis
     mask_first: vec4f, // the position of the first one, and the step from one to the next: each the sum of two numbers,
     mask_step: vec4f, // of which the step's first has so few bits that any number of them is exact
     mask_first_rest: vec4f,

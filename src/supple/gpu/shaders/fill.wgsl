@@ -1,4 +1,4 @@
-// A deformed volume, filled in bricks: each voxel is the volume sampled at T⁻¹, solved from the voxel before it.
+// A deformed volume, filled in blocks: each voxel is the volume sampled at T⁻¹, solved from the voxel before it.
 
 #use newton volume turns
 

@@ -19,7 +19,7 @@ fn ranges(@builtin(global_invocation_id) id: vec3u) {
     }
     let start = BRICK * brick;
     let end = min(start + BRICK, settings.size - 1u); // its neighbour's first voxel is its own, too
-    var range = vec2f(FAR, -FAR);
+    var range = vec2f(textureLoad(warped, start, 0).x);
     for (var z = start.z; z <= end.z; z++) {
         for (var y = start.y; y <= end.y; y++) {
             for (var x = start.x; x <= end.x; x++) {

@@ -558,8 +558,6 @@ def status(view: View) -> str:
         elif not isinstance(view.stage, VolumeStage):
             seen = document.base if _is_before(view) else document.deformation
             parts.append(view.stage.value((hover[0], hover[1]), view.frame, seen))
-    if isinstance(view.stage, VolumeStage) and view.stage.warned:
-        parts.append(certified(view))
     if document.timed and not document.deformation.is_identity and _follows(view.commands.options.get("clip", _USUAL)):
         parts.append("frames are mixed here, and an export follows their motion")
     if isinstance(tools, ImageTools):
@@ -623,11 +621,7 @@ def certified(view: View) -> str:
     if deformation.is_identity:
         return ""
     if isinstance(stage, VolumeStage):
-        error = stage.scene.error
-        if not stage.warned:
-            return f"rendering read within {error:.2g} voxels of the map"
-        off = f"up to {error:.2g} voxels" if math.isfinite(error) else "more than a voxel"
-        return f"parts of the rendering may be {off} out of place: choose Rendering: exact"
+        return f"rendering read within {stage.scene.error:.2g} voxels of the map"
     if view.document.dragging or (isinstance(tools, VideoTools) and tools.playback.playing):
         return ""
     film = stage.kind == "video"

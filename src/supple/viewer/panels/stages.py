@@ -564,18 +564,18 @@ class VolumeStage:
         self.table = False  # whether thin parts beside the body are rendered, too; ``apart`` is their fraction
         known = without_table(self._samples, volume.geometry.spacing) if self.unit == "HU" else (self._samples, 0.0)
         self._body, self.apart = known
-        self._bent: dict[int, tuple[Deformation, Scene, str]] = {}  # the result (0), and its base (1); and a warning
+        self._bent: dict[int, tuple[Deformation, Scene]] = {}  # the result (0), and its base (1)
         self._rough: dict[int, tuple[Deformation, Scene]] = {}  # previews of the same; ``_apart`` is their step
         self._apart = next(k for k in (1, 2, 4, 8) if k == _ROUGHEST or self._samples.size <= _EASY * k**3)
         self.drawn_in: float | None = None  # seconds of the CPU for the last image, without the warp
         self._pool = ThreadPoolExecutor(1, "supple-bend")
-        self._ahead: tuple[Deformation, Future[tuple[Deformation, Scene, str]]] | None = None  # what the thread warps
+        self._ahead: tuple[Deformation, Future[tuple[Deformation, Scene]]] | None = None  # what the thread warps
         self.scene = self._made(transfer)
         self.shape, self.spacing = self.scene.shape, tuple(volume.geometry.spacing)
         counts, _ = np.histogram(self._samples, 96, self.scene.range)
         self.histogram = np.log1p(counts).astype(np.float32)  # logarithms of voxel counts by value
         self._plain = self.scene
-        self.trouble = self.warned = ""  # a remark on the displayed image
+        self.trouble = ""  # a remark on the displayed image
         self._seconds = {False: 0.0, True: math.inf}  # to solve the last map without a freeze mask, and with one
         self.registration: Registration | None = None  # if there is one, ``volume`` is on the window's grid
         self.segmentation: Segmentation | None = None
@@ -614,13 +614,12 @@ class VolumeStage:
             self._seconds[deformation.space.freeze is not None] = time.perf_counter() - begun
         self._bent[beside] = known
         if not beside:
-            _, self.scene, self.warned = known
+            self.scene = known[1]
         return known[1]
 
-    def _solved(self, plain: Scene, deformation: Deformation) -> tuple[Deformation, Scene, str]:
-        said = [""]
-        with heard(lambda text, kind: said.append(text)):
-            return deformation, plain.deformed(deformation), said[-1]
+    def _solved(self, plain: Scene, deformation: Deformation) -> tuple[Deformation, Scene]:
+        with heard(lambda text, kind: None):
+            return deformation, plain.deformed(deformation)
 
     @property
     def previews(self) -> bool:
@@ -643,7 +642,7 @@ class VolumeStage:
                 self._apart //= 2
         return known[1]
 
-    def _known(self, deformation: Deformation) -> tuple[Deformation, Scene, str] | None:
+    def _known(self, deformation: Deformation) -> tuple[Deformation, Scene] | None:
         return next((known for known in self._bent.values() if known[0] is deformation), None)
 
     def is_slow(self, deformation: Deformation) -> bool:
@@ -668,7 +667,7 @@ class VolumeStage:
 
     def _change(self, change: Callable[[Scene], Scene]) -> None:
         self._plain = change(self._plain)
-        self._bent = {k: (made, change(scene), said) for k, (made, scene, said) in self._bent.items()}
+        self._bent = {k: (made, change(scene)) for k, (made, scene) in self._bent.items()}
         self._rough, self._ahead = {}, None
         self.scene = self._bent[0][1] if 0 in self._bent else self._plain
 
@@ -685,10 +684,12 @@ class VolumeStage:
         """Render into a texture of ``size`` (columns, rows); by the CPU if the scene is not on the GPU."""
         scene, (columns, rows) = (self.preview if moving else self.deform)(deformation, beside), size
         if scene.gpu is not None:
-            scene.draw(texture, camera, (rows, columns), background=BACK)
-            return
+            with contextlib.suppress(SuppleError):  # points that shaders cannot solve: the CPU does
+                scene.draw(texture, camera, (rows, columns), background=BACK)
+                return
         pixels, begun = np.full((rows, columns, 4), 255, np.uint8), time.perf_counter()
-        pixels[..., :3] = scene.render(camera, (rows, columns)).pixels(BACK)
+        with heard(lambda text, kind: None):
+            pixels[..., :3] = scene.render(camera, (rows, columns)).pixels(BACK)
         filled(self._gpu, texture, pixels)
         self.drawn_in = time.perf_counter() - begun
 
