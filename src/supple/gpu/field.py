@@ -92,11 +92,11 @@ def packed_mask(gpu: Gpu, freeze: Mask | None) -> npt.NDArray[np.uint16]:
     size = 2 * freeze.coefficients.size
     if size > gpu.binding:
         raise MemoryError(f"{size >> 20} MB of a freeze mask are more than a shader takes")
-    return _packed_once(freeze)
+    return _flagged(freeze)
 
 
 @lru_cache(maxsize=4)
-def _packed_once(freeze: Mask) -> npt.NDArray[np.uint16]:
+def _flagged(freeze: Mask) -> npt.NDArray[np.uint16]:
     low = high = freeze.coefficients
     for axis in range(3):
         if low.shape[axis] > 1:  # over the four coefficients around each cell

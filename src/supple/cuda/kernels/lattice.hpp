@@ -34,7 +34,10 @@ INLINE void solve_node(const Job& job) {
             const bool once = map.chain.count > 0 && map.chain.end_of(0) == map.chain.count && !map.chain[0].turns();
             for (int d = 0; !known && once && d < D; d++) found.at.p[d] = q[d];
             found = solved<D>(map.chain, map.axes, q, finest_of<D>(map.axes), job.tolerance,
-                              known ? Guess::PATCH : once ? Guess::POINT : Guess::NONE, found.at);
+                              known  ? Guess::PATCH
+                              : once ? Guess::POINT
+                                     : Guess::NONE,
+                              found.at);
             for (int d = 0; D == 3 && d < D; d++) {
                 const double now = found.at.m[D - 1][d];
                 bent[d] = known ? now - slope[d] : 0;

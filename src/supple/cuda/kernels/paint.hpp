@@ -77,7 +77,8 @@ struct Group {
     // An address for each row: of an offset for each sample, NVRTC 13.0 made those of other samples in some kernels.
     template <int RANK, int TAPS>
     INLINE Sum<N, C> summed(const T* first, const Taps<N, RANK, TAPS>& taps) const {
-        return summed(taps, [&](int i, int j) { return read(first + source_at(job, 0, j, 0) + source_at(job, 0, 0, i)); });
+        return summed(taps,
+                      [&](int i, int j) { return read(first + source_at(job, 0, j, 0) + source_at(job, 0, 0, i)); });
     }
     INLINE Sum<N, C> constant() const {
         return sum_of([&](int c) { return job.fill[c]; });
