@@ -268,7 +268,7 @@ def test_memory_does_not_grow_with_the_clip() -> None:
     frame = 64 * 96 * 3 // 2
     assert same_window == window < 40
     assert window * frame < short
-    assert long - short < 400 * 600  # a plan's own numbers: not a tenth of the frames
+    assert long - short < 400 * frame / 10  # the numbers of a plan and its lattices, which are kept within a bound
 
 
 def test_the_window_is_as_long_as_the_strokes_reach() -> None:
