@@ -129,8 +129,8 @@ def make_plan(work: Work, planes: Sequence[int], tell: Tell = silent) -> Plan:
     if space.ndim == 3 and not space.is_identity:
         support = SUPPORT[sampling.between_frames]
         # Beyond these times, an edge or a constant continues unchanged.
-        beyond = 3.0 + (LONGEST / 2 if sampling.averages_frames else 0.0)
-        earliest, latest = (-1e9, 1e9) if sampling.outside == "reflect" else (-beyond, count - 1.0 + beyond)
+        past = 3.0 + (LONGEST / 2 if sampling.averages_frames else 0.0)
+        earliest, latest = (-1e9, 1e9) if sampling.outside == "reflect" else (-past, count - 1.0 + past)
         step, room = work.layout.step, _KEPT
         for k, z in enumerate(planes):
             if not still[k]:

@@ -35,7 +35,6 @@ LIMITS: dict[str, int] = {
 _BINDINGS = (1 << 30, 512 << 20, 256 << 20, LIMITS["max-storage-buffer-binding-size"])
 """The binding sizes to request, in bytes; the first that is granted is used."""
 
-
 _SIZES = ("max-storage-buffer-binding-size", "max-buffer-size")
 
 _KINDS = ("DiscreteGPU", "IntegratedGPU", "VirtualGPU", "Unknown", "CPU")

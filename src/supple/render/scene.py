@@ -459,15 +459,16 @@ class Scene:
     def _look(self, view: Projection, filled: Filling | None = None) -> shading.Look:
         """Return how rays see the scene's samples, or a buffer on the GPU."""
         seen, light = self._seen, lamp(view)
-        if filled is not None and self._filled is None:
-            self._filled = skipped(seen, *filled.ranges())
+        skips = self._skips
+        if filled is not None:
+            skips = self._filled = skipped(seen, *filled.ranges()) if self._filled is None else self._filled
         arrives, placed = arriving(self._shade, light, self.shadows)
         camera, k = view.packed.copy(), self.coarse
         camera[0] /= k  # in samples
         camera[1] *= k
         return shading.Look(
             camera=camera,
-            skips=self._skips if filled is None or self._filled is None else self._filled,
+            skips=skips,
             table=seen.table,
             sums=summed(seen.table),
             low=seen.low,
