@@ -49,27 +49,26 @@ def composed(gpu: Gpu, size: tuple[int, int], draw: Callable[[Any], None]) -> np
 
 
 class Screen:
-    """A painter of textures onto a surface of some format, by the ``"linear"`` or ``"nearest"`` filter."""
+    """A painter of textures onto a surface of some format, in sRGB, by the ``"linear"`` or ``"nearest"`` filter."""
 
     def __init__(self, gpu: Gpu, format: str, filter: str = "linear") -> None:
-        self._linear = format.endswith("srgb")
         self._smooth = gpu.device.create_sampler(mag_filter=filter, min_filter=filter)
         self._module = module(gpu, source("screen"))
         code, layout = self._module.code, self._module.layout
-        self._pipelines = [  # for one texture, and for two
-            gpu.device.create_render_pipeline(
+        self._pipelines = {
+            (split, whole): gpu.device.create_render_pipeline(
                 layout=gpu.device.create_pipeline_layout(bind_group_layouts=[layout]),
                 vertex={"module": code, "entry_point": "corner"},
                 fragment={
                     "module": code,
                     "entry_point": "shown",
                     "targets": [{"format": format}],
-                    "constants": {"SPLIT": split},
+                    "constants": {"SPLIT": split, "WHOLE": whole},
                 },
                 primitive={"topology": "triangle-list"},
             )
-            for split in (False, True)
-        ]
+            for split, whole in ((False, False), (True, False), (False, True))
+        }
         self._settings, self._bound = Kept(gpu), Bound()
 
     def draw(
@@ -86,11 +85,14 @@ class Screen:
         The place on the surface is its left, top, columns and rows; by default, all of it.
         """
         split = split if second is not None else -1.0
+        upright = max(abs(a - b) for a, b in zip(part, ALL, strict=True)) < 1e-5  # a hundredth of a pixel
+        whole = upright and place is not None and second is None and first.size[:2] == place[2:]
+        first_pixel = place[:2] if place else (0, 0)
         values = self._module.values(
-            {"sides": part[2:6], "corner": part[:2], "depth": part[6:], "linear": self._linear, "split": split}
+            {"sides": part[2:6], "corner": part[:2], "depth": part[6:], "split": split, "place": first_pixel}
         )
         given = {"settings": self._settings.hold(values), "first": first, "second": second or first}
-        drawing.set_pipeline(self._pipelines[second is not None])
+        drawing.set_pipeline(self._pipelines[second is not None, whole])
         if place is not None:
             drawing.set_viewport(*place, 0.0, 1.0)
         drawing.set_bind_group(0, self._bound.group(given, self._group))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -47,6 +48,7 @@ class Veil:
         self.textures: dict[int, Any] = {}
         """Textures by the numbers under which ImGui knows them."""
         self._known: dict[int, tuple[Freeze, int]] = {}
+        self._seen: dict[int, list[Pair]] = {}  # the ranges of what is not clear
 
     def draw(
         self,
@@ -66,7 +68,7 @@ class Veil:
         normal, across, down = axes
         which = _FIRST + normal
         if self._known.get(which) != (mask, index):
-            self._upload(which, mask, axes, index)
+            self._seen[which] = self._upload(which, mask, axes, index)
             self._known[which] = mask, index
         low, high = [0.0] * len(sizes), [0.0] * len(sizes)
         ends = [-0.5] * len(sizes), [n - 0.5 for n in sizes]
@@ -75,6 +77,8 @@ class Veil:
             if mask.size[k] > 1:
                 low[k] = mask.first[k] - mask.step[k] * _OUTER
                 high[k] = mask.first[k] + mask.step[k] * (mask.size[k] - _OUTER)
+        for k, (least, most) in zip((across, down), self._seen[which], strict=True):
+            ends[0][k], ends[1][k] = max(ends[0][k], least), min(ends[1][k], most)
         (a, b), (c, d) = (seen(tuple(end)) for end in ends)
         lines.push_clip_rect((min(a, c), min(b, d)), (max(a, c), max(b, d)), True)
         right, left = low.copy(), high.copy()
@@ -83,7 +87,7 @@ class Veil:
         lines.add_image_quad(imgui.ImTextureRef(which), first, second, third, fourth, col=colour)
         lines.pop_clip_rect()
 
-    def _upload(self, which: int, mask: Freeze, axes: tuple[int, int, int], index: int) -> None:
+    def _upload(self, which: int, mask: Freeze, axes: tuple[int, int, int], index: int) -> list[Pair]:
         normal, across, down = axes
         places: list[Any] = [
             np.zeros(1) if n == 1 else first + step * np.arange(1, n - 1)
@@ -100,6 +104,12 @@ class Veil:
         pixels = np.full((*shade.shape, 4), 255, np.uint8)
         pixels[..., 3] = np.rint(255 * (1 - np.clip(shade, 0, 1)))
         self.textures[which] = filled(self._gpu, self.textures.get(which), pixels)
+        ranges: list[Pair] = []
+        for axis, k in enumerate((across, down)):
+            there = np.flatnonzero(pixels[..., 3].any(axis)) if mask.size[k] > 1 else np.array([-math.inf, math.inf])
+            low, high = (there[0] - 1, there[-1] + 1) if there.size else (0, 0)
+            ranges.append((mask.first[k] + mask.step[k] * low, mask.first[k] + mask.step[k] * high))
+        return ranges
 
 
 FRAME = 0.05  # seconds of a frame during a drag

@@ -12,7 +12,7 @@ from functools import partial
 from typing import Any
 
 from imgui_bundle import imgui
-from wgpu.utils.imgui import ImguiRenderer, ImguiWgpuBackend
+from wgpu.utils.imgui import ImguiRenderer, ImguiWgpuBackend, imgui_backend
 
 from supple.errors import SuppleError, facing
 from supple.gpu.device import Gpu
@@ -26,6 +26,17 @@ from supple.viewer.tools.planes import RENDERED
 from supple.viewer.tools.volumes import VolumeTools
 
 _BOUND = "__imgui_bind_group"
+
+
+@contextlib.contextmanager
+def _without_gamma() -> Iterator[None]:
+    """Let backends of ImGui draw without a gamma, which is 1 here: where no GPU draws, powers take most of the time."""
+    text = imgui_backend.FRAGMENT_SHADER_SRC
+    imgui_backend.FRAGMENT_SHADER_SRC = text.replace("pow(color.rgb, vec3<f32>(uniforms.gamma))", "color.rgb")
+    try:
+        yield
+    finally:
+        imgui_backend.FRAGMENT_SHADER_SRC = text
 
 
 class _Layer:
@@ -76,14 +87,16 @@ class Gui:
         pictures: Mapping[int, Any],
     ) -> None:
         self._canvas, self._pictures, self._shown = canvas, pictures, dict[int, Any]()
-        self._renderer = ImguiRenderer(gpu.device, canvas, format)
+        with _without_gamma():
+            self._renderer = ImguiRenderer(gpu.device, canvas, format)
         self.trouble = ""  # the error of the last layout
         backend = self._renderer.backend
         theme.apply(backend.io)
         self._controls = _Layer(backend, controls)
         context = imgui.create_context(backend.io.fonts)
         imgui.set_current_context(context)
-        own = ImguiWgpuBackend(gpu.device, format)
+        with _without_gamma():
+            own = ImguiWgpuBackend(gpu.device, format)
         own._textures, own._texture_views = backend._textures, backend._texture_views
         theme.style()
         self._marks = _Layer(own, marks)
@@ -227,7 +240,8 @@ class Window(View):
         self._titled = ""
         self._typing = False  # whether the character of a key may follow
         self._context = canvas.get_wgpu_context()
-        presented = self._context.get_preferred_format(device.adapter)
+        # sRGB goes to the screen as it is: a conversion to linear light and back would cost each pixel two powers.
+        presented = self._context.get_preferred_format(device.adapter).removesuffix("-srgb")
         self._context.configure(device=device, format=presented)
         self._screen = Screen(self.gpu, presented)
         self._gui = Gui(self.gpu, canvas, presented, self._controls, lambda: overlay.draw(self), self.veil.textures)
