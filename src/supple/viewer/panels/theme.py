@@ -27,7 +27,7 @@ LINE: Colour = (0.21, 0.22, 0.235, 1.0)
 LETTERS = 15.0  # logical pixels
 # Colours of overlays on the picture, for draw lists: ABGR.
 WHITE, DARK, BLUE, RED, GREY = 0xFFFFFFFF, 0xA0000000, 0xFFFFA040, 0xFF5060FF, 0xFFC0C0C0
-SOFT, PALE, DIM, SHADE, BALL = 0xB8FFFFFF, 0x90FFFFFF, 0x80FFFFFF, 0x30000000, 0xA0FFA040
+SOFT, PALE, DIM, SHADE, BALL = 0xC6FFFFFF, 0xA8FFFFFF, 0x98FFFFFF, 0x28000000, 0xBBFFA040
 
 
 def lighter(colour: Colour, by: float = 0.07) -> Colour:
