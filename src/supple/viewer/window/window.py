@@ -146,7 +146,7 @@ class Gui:
 
 FILLING = 0.004  # seconds of each frame for filling a volume's buffer
 ANSWERED = 0.1  # seconds after an event until a panel has reacted
-FOLLOWED = 4  # frames of a drag for each in which the controls follow it
+FOLLOWED = 0.2  # seconds after which the controls follow a drag
 HINTED = 0.3  # seconds after an event until a panel shows a hint under a resting pointer
 _ENDS = tuple(getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name))
 HINTS = 4  # frames for a hint: it is measured in its first frame, and visible in the next
@@ -236,7 +236,7 @@ class Window(View):
         self._pressed = 0.0
         self._textures: tuple[Any, Any] | None = None
         self._laid = (0.0, 0.0, 0.0)
-        self._behind = FOLLOWED  # frames of a drag since the controls were laid out
+        self._followed = -math.inf  # when the controls were laid out
         self._titled = ""
         self._typing = False  # whether the character of a key may follow
         self._context = canvas.get_wgpu_context()
@@ -324,7 +324,7 @@ class Window(View):
         tools, (width, height) = self.tools, self.area
         ratio = self.canvas.get_pixel_ratio()
         if self._laid != (width, height, ratio):
-            self._laid, self._behind = (width, height, ratio), FOLLOWED
+            self._laid, self._followed = (width, height, ratio), -math.inf
             size = {"width": width, "height": height, "top": TOP, "pixel_ratio": ratio}
             tools.handle({"event_type": "resize", **size})
         if isinstance(tools, VideoTools):
@@ -337,9 +337,8 @@ class Window(View):
         slow = anew and isinstance(self.stage, VolumeStage) and self.stage.is_slow(bent)
         rests = slow and tools.dragging and self._lately  # the image waits until the pointer rests
         self.computing = slow and not rests and not self.computing
-        self._behind += 1
-        if all_of_it := not (tools.dragging and self._lately) or self.computing or self._behind >= FOLLOWED:
-            self._behind = 0  # at rest, too: they would be behind for long
+        if all_of_it := not (tools.dragging and self._lately) or self.computing or begun > self._followed + FOLLOWED:
+            self._followed = begun
         self._gui.lay(all=all_of_it)
         if self._gui.trouble:
             self.commands.message = self._gui.trouble
