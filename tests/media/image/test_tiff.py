@@ -331,3 +331,22 @@ def test_parts_that_are_compressed_at_once_are_one_page(
         files.append((tags, blocks))
     assert files[0] == files[1]
     assert len(files[1][1]) > 4
+
+
+@pytest.mark.parametrize("placed", [{"rowsperstrip": 7}, {"tile": (32, 48)}])
+@pytest.mark.parametrize("form", [{"byteorder": "<"}, {"byteorder": ">"}, {"bigtiff": True}])
+def test_shares_of_rows_that_are_decoded_at_once_are_the_picture(
+    tmp_path: Path, placed: dict[str, Any], form: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pixels, path = noise("u2", 701, 53, 3), tmp_path / "in.tif"
+    tifffile.imwrite(path, pixels, compression="zlib", photometric="rgb", **placed, **form)
+    monkeypatch.setattr(tiff, "_LEAST", 0)
+    monkeypatch.setattr(image, "threads", lambda: 3)
+    assert len(tiff.Page(path).shares(3)) == 3
+    np.testing.assert_array_equal(read(path).pixels, pixels)
+    data = path.read_bytes()
+    with tifffile.TiffFile(path) as file:
+        last = file.pages[0].dataoffsets[-1]
+    path.write_bytes(data[:last] + bytes(len(data) - last))  # in the last share
+    with pytest.raises(SuppleError, match=r"in\.tif"):
+        read(path)

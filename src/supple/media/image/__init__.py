@@ -259,7 +259,11 @@ def of_layers(held: exr.Exr) -> Picture:
 
 
 def _decoded(path: PathLike, image: Any, form: str, orientation: int) -> formats.Array:
-    """Decode an image; warn of a damaged JPEG, most of which may be usable."""
+    """Decode an image, a large TIFF by all threads; warn of a damaged JPEG, most of which may be usable."""
+    if form == "TIFF" and orientation == 1 and (page := Page(path)).is_plain and (shares := page.shares(threads())):
+        sources = map(pyvips.Source.new_from_memory, shares)
+        images = together([partial(sequential, source, fail_on=page.fails_on) for source in sources], [])
+        return np.concatenate(together([partial(decoded, each, 1) for each in images], images))
     if form != "JPEG":
         return apart(lambda: decoded(image, orientation), image)
     try:

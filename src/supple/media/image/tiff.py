@@ -18,8 +18,8 @@ from supple.media.image.exif import Folder, Reader, Value, into_tiff
 from supple.media.image.formats import Array, damaged
 
 _BITS, _COMPRESSION, _PHOTOMETRIC, _SAMPLES, _PLANAR = 258, 259, 262, 277, 284
-_PREDICTOR, _TILE_WIDTH, _TILE_HEIGHT, _INKS, _EXTRA, _FORMAT = 317, 322, 323, 332, 338, 339
-_UNIT, _LENGTH, _OFFSETS, _COUNTS = 296, 257, (273, 324), (279, 325)
+_ROWS, _PREDICTOR, _TILE_WIDTH, _TILE_HEIGHT, _INKS, _EXTRA, _FORMAT = 278, 317, 322, 323, 332, 338, 339
+_UNIT, _WIDTH, _LENGTH, _OFFSETS, _COUNTS = 296, 256, 257, (273, 324), (279, 325)
 _LEAST, _MOST, _AT_ONCE = 1 << 24, 2_000_000_000, 8  # bytes of a picture that is compressed in parts, and these
 MINISWHITE, RGB, YCBCR, CIELAB, ICCLAB, ITULAB = 0, 2, 6, 8, 9, 10
 MASK, _MOSAIC = 4, 32803
@@ -115,6 +115,7 @@ class Page:
         self.planes = self.samples if self._one(_PLANAR) == 2 else 1
         self._compression, self.photometric = self._one(_COMPRESSION) or 1, self._one(_PHOTOMETRIC)
         self.tiled = _TILE_WIDTH in self._entries
+        self.fails_on = "warning" if self.tiled else "error"  # libvips only warns of damaged tiles
         self.tiff = self._facts()
 
     def _numbers(self, tag: int) -> tuple[int, ...]:
@@ -180,20 +181,51 @@ class Page:
             self._refuse("it is a mosaic of colours, from a camera's sensor")
         if self.planes > 1 and self.photometric == YCBCR:
             self._refuse("it holds YCbCr in separate planes")
-        with open(self._path, "rb") as file:
-            data = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_COPY)
+        data, form = self._mapped(), self._form
         values = {_PHOTOMETRIC: RGB if self.samples > 2 else 1}
         if not self.is_usual:
             values = {_PHOTOMETRIC: 1, _PLANAR: 1, _SAMPLES: 1, _BITS: 8, _FORMAT: 1, _PREDICTOR: 1}
-        form = self._form
         for tag in values.keys() & self._entries.keys():
-            at = self._entries[tag]
-            entry = form.stored(tag, 2) + form.stored(4, 2) + form.stored(1, form.word) + form.stored(values[tag], 4)
-            data[at : at + form.step] = entry.ljust(form.step, b"\0")
+            self._set(data, tag, values[tag])
         if _EXTRA in self._entries:  # renamed to the tag before it: libtiff ignores duplicates
             at = self._entries[_EXTRA]
             data[at : at + 2] = form.stored(max(tag for tag in self._entries if tag < _EXTRA), 2)
         return data
+
+    def shares(self, count: int) -> list[mmap.mmap]:
+        """Return the file in memory for each share of the page's rows, tagged as those alone, to be decoded at once.
+
+        There is none if the page is small or not compressed, or its strips or tiles are not stored one after the other.
+        """
+        form, height, step = self._form, self._one(_LENGTH), self._one(_TILE_HEIGHT) or self._one(_ROWS)
+        across = -(-self._one(_WIDTH) // max(self._one(_TILE_WIDTH), 1)) if self.tiled else 1
+        rows = -(-height // max(step, 1))  # of strips or tiles
+        small = height * self._one(_WIDTH) * self.samples * self.bits < 8 * _LEAST or rows < 4 * count
+        if small or self._compression == 1 or self.planes > 1:
+            return []
+        made = [self._mapped() for _ in range(count)]
+        places = [self._entries[tag] for tag in (*_OFFSETS, *_COUNTS) if tag in self._entries]
+        entries = [made[0][at + 2 : at + form.step] for at in places]
+        if [form.number(entry[2 : -form.word]) for entry in entries] != [rows * across] * 2:
+            return []
+        for k, data in enumerate(made):
+            first, end = k * rows // count, (k + 1) * rows // count
+            for at, entry in zip(places, entries, strict=True):
+                size = {3: 2, 4: 4}.get(form.number(entry[:2]), 8)
+                numbers = (end - first) * across, form.number(entry[-form.word :]) + first * across * size
+                data[at + 4 : at + form.step] = b"".join(form.stored(n, form.word) for n in numbers)
+            self._set(data, _LENGTH, min(end * step, height) - first * step)
+        return made
+
+    def _mapped(self) -> mmap.mmap:
+        """Return the file in memory, which can be changed without changing the file."""
+        with open(self._path, "rb") as file:
+            return mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_COPY)
+
+    def _set(self, data: mmap.mmap, tag: int, number: int) -> None:
+        form, at = self._form, self._entries[tag]
+        entry = form.stored(tag, 2) + form.stored(4, 2) + form.stored(1, form.word) + form.stored(number, 4)
+        data[at : at + form.step] = entry.ljust(form.step, b"\0")
 
     def decoded(self, read: Callable[[], Array]) -> Array:
         """Return all samples, of shape (H, W) or (H, W, C), in grey, RGB, CMYK or Lab.

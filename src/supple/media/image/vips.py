@@ -92,8 +92,7 @@ def of_exr(held: exr.Exr) -> Any:
 def of_tiff(path: PathLike, number: int = 0) -> Any:
     """Open a page of a TIFF; decode what libvips reads wrongly."""
     page = Page(path, number)
-    # libvips only warns of damaged tiles
-    options: dict[str, Any] = {"page": number, "fail_on": "warning" if page.tiled else "error"}
+    options: dict[str, Any] = {"page": number, "fail_on": page.fails_on}
     if page.is_plain or page.is_ycbcr:
         image = apart(lambda: sequential(path, **options)).copy()
     if page.is_ycbcr:
@@ -105,7 +104,7 @@ def of_tiff(path: PathLike, number: int = 0) -> Any:
             image = _with_header(of_pixels(*ffmpeg.decoded(path, "tiff")), image)
     elif not page.is_plain:
         source = pyvips.Source.new_from_memory(page.retagged())
-        header = apart(lambda: pyvips.Image.new_from_source(source, "", access="sequential", **options))
+        header = apart(lambda: sequential(source, **options))
         pixels = page.decoded(lambda: apart(lambda: decoded(header, 1), header))
         image = _with_header(of_pixels(pixels, page.bits, len(page.tiff.extra)), header)
     if page.tiff.meaning:
@@ -123,10 +122,10 @@ def _with_header(made: Any, image: Any) -> Any:
     return made
 
 
-def sequential(path: PathLike, *, fail_on: str = "error", **options: Any) -> Any:
+def sequential(path: PathLike | pyvips.Source, *, fail_on: str = "error", **options: Any) -> Any:
     """Open a file with libvips for one sequential read; decoding stops at errors, or also at warnings."""
     # a source, since libvips would parse "[...]" in a file's name as options, and cache the image
-    source = pyvips.Source.new_from_file(os.fsencode(path))
+    source = path if isinstance(path, pyvips.Source) else pyvips.Source.new_from_file(os.fsencode(path))
     return pyvips.Image.new_from_source(source, "", access="sequential", fail_on=fail_on, **options)
 
 
