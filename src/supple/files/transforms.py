@@ -8,7 +8,7 @@ from __future__ import annotations
 import itertools
 import math
 import threading
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -39,7 +39,6 @@ ROUNDING = 2.0**-22
 """The accuracy of source points in samples: the core stores their fractions as float32."""
 PULL, PUSH = range(2)
 _WAYS = ("forward", "inverse")  # the format's names
-_TOGETHER = 4  # chunks for each task; a chunk is some megabytes
 _AT_ONCE = 4096  # tasks in the queue
 _SOLVED = 1e-9  # samples: the accuracy of T where it is solved iteratively
 _PACKING = threading.Lock()
@@ -238,7 +237,7 @@ def begin_field(
 def write_field(work: Work, runner: Runner, tell: Tell, maps: Sequence[Placed]) -> SavedField:
     """Write both directions of a map; `Target.finish` remains to be called.
 
-    ``tell`` is called with ``"field"`` and the finished and the total number of tasks.
+    ``tell`` is called with ``"field"`` and the finished and the total number of chunks.
 
     Warns
     -----
@@ -247,15 +246,15 @@ def write_field(work: Work, runner: Runner, tell: Tell, maps: Sequence[Placed]) 
     """
     target, tolerance = work.target, work.warp.sampling.tolerance
     sizes = [chunks_of(block, array.shape) for block, array in zip(target.blocks, target.arrays, strict=True)]
-    counts = [math.prod(map(len, each)) for each in sizes]
-    advance = advancing(tell, "field", sum(-(-count // _TOGETHER) for count in counts))
-    items = itertools.chain.from_iterable(_batches(way, each) for way, each in enumerate(sizes))
+    count = sum(math.prod(map(len, each)) for each in sizes)
+    advance = advancing(tell, "field", count)
+    items = ((way, box) for way, each in enumerate(sizes) for box in boxes_of(each))
     certificates, stored, done = [Certificate(0.0, 0.0)] * 2, 0, 0
     while some := list(itertools.islice(items, _AT_ONCE)):
-        made = runner.each(_write_chunks, work, some, advance)
+        made = runner.each(_write_chunk, work, some, advance)
         for (way, _), (certificate, new, there) in zip(some, made, strict=True):
             certificates[way] |= certificate
-            stored += new + there
+            stored += new or there
             done += there
     pull, push = certificates
     warn_of(pull, tolerance, 4, folds_of(maps), only_name(maps))
@@ -263,34 +262,23 @@ def write_field(work: Work, runner: Runner, tell: Tell, maps: Sequence[Placed]) 
     target.note(
         {**{way: _told(one, tolerance) for way, one in zip(_WAYS, certificates, strict=True)}, "chunks": stored}
     )
-    return SavedField(target.address, tolerance, _error(pull), _error(push), sum(counts), stored, done)
+    return SavedField(target.address, tolerance, _error(pull), _error(push), count, stored, done)
 
 
-def _batches(way: int, sizes: Sequence[Sequence[int]]) -> Iterator[tuple[int, list[Box]]]:
-    boxes = boxes_of(sizes)
-    while some := list(itertools.islice(boxes, _TOGETHER)):
-        yield way, some
+def _write_chunk(work: Work, item: tuple[int, Box]) -> tuple[Certificate, bool, bool]:
+    """Write a chunk of one direction; return its certificate, whether it was written, and whether it existed.
 
-
-def _write_chunks(work: Work, item: tuple[int, list[Box]]) -> tuple[Certificate, int, int]:
-    """Write chunks of one direction; return their certificate, and the numbers of new and of existing ones.
-
-    Chunks without displacement are not stored. Existing chunks are solved again, so that the report covers all chunks,
-    but they are not written.
+    A chunk without displacement is not stored. An existing chunk is solved again, so that the report covers all chunks,
+    but it is not written.
     """
-    way, boxes = item
-    target = work.target
+    (way, box), target = item, work.target
     check_seen(target.site)
-    certificate, new, there = Certificate(0.0, 0.0), 0, 0
-    for box in boxes:
-        done = target.begun and target.is_done(way, box)
-        values, found = (_pulled if way == PULL else _pushed)(work, box[1:], done)
-        certificate |= found
-        there += done
-        if values is not None and values.any():
-            target.write(way, box, np.moveaxis(values, -1, 0))
-            new += 1
-    return certificate, new, there
+    done = target.begun and target.is_done(way, box)
+    values, certificate = (_pulled if way == PULL else _pushed)(work, box[1:], done)
+    new = values is not None and bool(values.any())
+    if values is not None and new:
+        target.write(way, box, np.moveaxis(values, -1, 0))
+    return certificate, new, done
 
 
 def _pulled(work: Work, box: Box, done: bool) -> tuple[npt.NDArray[np.float32] | None, Certificate]:
