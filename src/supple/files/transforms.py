@@ -7,9 +7,8 @@ from __future__ import annotations
 
 import itertools
 import math
-import threading
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -41,7 +40,6 @@ PULL, PUSH = range(2)
 _WAYS = ("forward", "inverse")  # the format's names
 _AT_ONCE = 4096  # tasks in the queue
 _SOLVED = 1e-9  # samples: the accuracy of T where it is solved iteratively
-_PACKING = threading.Lock()
 
 
 def displacement_of(
@@ -177,24 +175,13 @@ class Work:
 
     target: Target
     warp: Warp
+    own: Warp  # the same on the grid of the input, whose samples T maps
     scale: tuple[float, ...]
-    _packed: list[Space] = field(default_factory=list, init=False, repr=False, compare=False)
-
-    def __reduce__(self) -> tuple[type[Work], tuple[Any, ...]]:
-        """Pickle without `_packed`: the core's maps are not sent to other processes."""
-        return Work, (self.target, self.warp, self.scale)
 
     @property
     def matrix(self) -> Floats:
         """The matrix from vectors in samples of the input, x first, to vectors along stored axes, in their units."""
         return np.ascontiguousarray(np.diag(self.scale)[:, ::-1])
-
-    def push(self) -> Space:
-        """Return the map from the input to the output, computed once and shared by all blocks."""
-        with _PACKING:
-            if not self._packed:
-                self._packed.append(self.warp.deformation.space)
-            return self._packed[0]
 
 
 def is_scene(address: PathLike | None) -> bool:
@@ -231,7 +218,8 @@ def begin_field(
     files, paths = ngff.bijection(_axes(image), samples, own, "warp")
     job = f"field of {job}"
     check_free(address, files, job, force)
-    return lambda: Work(create_arrays(address, files, paths, force=force, job=job), warp, tuple(scale))
+    both = warp, replace(warp, grid=None)
+    return lambda: Work(create_arrays(address, files, paths, force=force, job=job), *both, tuple(scale))
 
 
 def write_field(work: Work, runner: Runner, tell: Tell, maps: Sequence[Placed]) -> SavedField:
@@ -297,11 +285,10 @@ def _pulled(work: Work, box: Box, done: bool) -> tuple[npt.NDArray[np.float32] |
 
 def _pushed(work: Work, box: Box, done: bool) -> tuple[npt.NDArray[np.float32] | None, Certificate]:
     """Return T(p) - p for the samples of a part of the input; no values if it is stored already."""
-    space, certificate = work.push(), Certificate(0.0, 0.0)
+    space, certificate = work.own.packed(), Certificate(0.0, 0.0)
     if done and space.composite is None:
         return None, certificate
-    first, end = np.array(box)[::-1].T
-    part = replace(space, grid=work.warp.deformation.grid.crop(first.tolist(), (end - first).tolist()))
+    first, part = np.array(box)[::-1, 0], work.own.space(box)
     out = np.zeros((*_shape(box), len(box)), np.float32)
     rows, columns = np.indices(_shape(box)[-2:])
     points = np.empty((*rows.shape, len(box)))
