@@ -184,7 +184,7 @@ def _mapped(stroke: Stroke, there: Callable[[Floats], Floats], geometry: Geometr
 
 def filtered(job: Job) -> Sampling:
     """Return the sampling of a volume, with the filter for labels if it has these; SuppleError if it would mix them."""
-    name, wanted = job.sampling.filter, job.volume.label_filter
+    name, wanted = job.sampling.filter, "labels" if job.volume.labels == "smooth" else "nearest"
     if job.volume.labels and name not in ("auto", wanted):
         fit = "auto" if wanted == "labels" else wanted
         text = f'{argument("labels")} needs filter "{fit}", which keeps values as they are, found "{name}"'
