@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from supple.arrays import check_device, clamp_to, warp_array
+from supple.arrays import clamp_to, warp_array
 from supple.deformation import Deformation
 from supple.engine.memory import beside, machine_memory
 from supple.engine.sampling import Certificate, Sampling, warn_of
@@ -205,10 +205,7 @@ def warp_volume(
     ``tell`` is called with ``"read"``, then with ``"warp"``, the number of finished slices, and their total, and with
     ``"write"``.
     """
-    job = job_of(source, target, recipe, **given)
-    check_device(job.device)
-    check(job)
-    return warp(job, tell)
+    return job_of(source, target, recipe, **given).warp(tell=tell)
 
 
 def warp(job: Job, tell: Tell) -> Warped:
