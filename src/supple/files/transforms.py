@@ -73,7 +73,8 @@ def displacement_of(
     float32 array, shape (Z, H, W, 3)
         The position of T⁻¹(q) minus that of q, in millimetres along the axes of LPS, x first.
     """
-    _check(deformation)
+    if deformation.ndim != 3:
+        raise SuppleError(f"a displacement field is of a volume, and shape {deformation.shape} has two axes")
     tolerance = number("tolerance", tolerance, "a number of voxels above 0", 1e-9, 1e9)
     space = deformation.space_on(grid)
     made = np.empty((*(deformation if grid is None else grid).shape, 3), np.float32) if out is None else out
@@ -144,16 +145,10 @@ def write_transform(
     """
     check_target(target)
     check_output(target, force=force)
-    _check(deformation)
     shape = deformation.shape if grid is None else grid.shape
     with beside(target, (*shape, 3), np.float32, MOST) as out:
         made = displacement_of(deformation, geometry, tolerance=tolerance, out=out, grid=grid, warn=warn)
         write_displacements(target, made, geometry, force=force)
-
-
-def _check(deformation: Deformation) -> None:
-    if deformation.ndim != 3:
-        raise SuppleError(f"a displacement field is of a volume, and shape {deformation.shape} has two axes")
 
 
 @dataclass(frozen=True, slots=True)
