@@ -4,112 +4,68 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from supple.arrays import warp_batch
-    from supple.deformation import Arrival, Deformation, Inverse, Report
-    from supple.engine.sampling import Sampling
-    from supple.errors import (
-        DeviceWarning,
-        FoldError,
-        FoldWarning,
-        MissWarning,
-        OutsideWarning,
-        SuppleError,
-        ToleranceWarning,
-        TrackWarning,
-    )
-    from supple.fields import Field, Inverted, Placed, compose, read_maps, to_sitk
-    from supple.fields.checks import FieldReport
-    from supple.files import warp_file
-    from supple.files.maps import grid_of
-    from supple.files.options import GridOptions
-    from supple.files.tracking import Tracked, track
-    from supple.space.affine import Affine
-    from supple.space.domain import Domain
-    from supple.space.freezing import Freeze
-    from supple.space.geometry import Grid
-    from supple.space.straighten import Straighten
-    from supple.strokes import Recipe, Stroke
-    from supple.strokes.keys import Key
-    from supple.viewer.window.launch import view
+    from supple.arrays import warp_batch as warp_batch
+    from supple.deformation import Arrival as Arrival
+    from supple.deformation import Deformation as Deformation
+    from supple.deformation import Inverse as Inverse
+    from supple.deformation import Report as Report
+    from supple.engine.sampling import Sampling as Sampling
+    from supple.errors import DeviceWarning as DeviceWarning
+    from supple.errors import FoldError as FoldError
+    from supple.errors import FoldWarning as FoldWarning
+    from supple.errors import MissWarning as MissWarning
+    from supple.errors import OutsideWarning as OutsideWarning
+    from supple.errors import SuppleError as SuppleError
+    from supple.errors import ToleranceWarning as ToleranceWarning
+    from supple.errors import TrackWarning as TrackWarning
+    from supple.fields import Field as Field
+    from supple.fields import Inverted as Inverted
+    from supple.fields import Placed as Placed
+    from supple.fields import compose as compose
+    from supple.fields import read_maps as read_maps
+    from supple.fields import to_sitk as to_sitk
+    from supple.fields.checks import FieldReport as FieldReport
+    from supple.files import warp_file as warp_file
+    from supple.files.maps import grid_of as grid_of
+    from supple.files.options import GridOptions as GridOptions
+    from supple.files.tracking import Tracked as Tracked
+    from supple.files.tracking import track as track
+    from supple.space.affine import Affine as Affine
+    from supple.space.domain import Domain as Domain
+    from supple.space.freezing import Freeze as Freeze
+    from supple.space.geometry import Grid as Grid
+    from supple.space.straighten import Straighten as Straighten
+    from supple.strokes import Recipe as Recipe
+    from supple.strokes import Stroke as Stroke
+    from supple.strokes.keys import Key as Key
+    from supple.viewer.window.launch import view as view
 
 __version__ = "0.1.0"
 
-__all__ = [
-    "Affine",
-    "Arrival",
-    "Deformation",
-    "DeviceWarning",
-    "Domain",
-    "Field",
-    "FieldReport",
-    "FoldError",
-    "FoldWarning",
-    "Freeze",
-    "Grid",
-    "GridOptions",
-    "Inverse",
-    "Inverted",
-    "Key",
-    "MissWarning",
-    "OutsideWarning",
-    "Placed",
-    "Recipe",
-    "Report",
-    "Sampling",
-    "Straighten",
-    "Stroke",
-    "SuppleError",
-    "ToleranceWarning",
-    "TrackWarning",
-    "Tracked",
-    "compose",
-    "grid_of",
-    "read_maps",
-    "to_sitk",
-    "track",
-    "view",
-    "warp_batch",
-    "warp_file",
-]
-
-# The module that defines each public name. Modules are imported on first use, as image libraries load slowly.
-_HOMES = {
-    "Affine": "space.affine",
-    "Arrival": "deformation",
-    "Deformation": "deformation",
-    "DeviceWarning": "errors",
-    "Domain": "space.domain",
-    "Field": "fields",
-    "FieldReport": "fields.checks",
-    "FoldError": "errors",
-    "FoldWarning": "errors",
-    "Freeze": "space.freezing",
-    "Grid": "space.geometry",
-    "GridOptions": "files.options",
-    "Inverse": "deformation",
-    "Inverted": "fields",
-    "Key": "strokes.keys",
-    "MissWarning": "errors",
-    "OutsideWarning": "errors",
-    "Placed": "fields",
-    "Recipe": "strokes",
-    "Report": "deformation",
-    "Sampling": "engine.sampling",
-    "Straighten": "space.straighten",
-    "Stroke": "strokes",
-    "SuppleError": "errors",
-    "ToleranceWarning": "errors",
-    "TrackWarning": "errors",
-    "Tracked": "files.tracking",
-    "compose": "fields",
-    "grid_of": "files.maps",
-    "read_maps": "fields",
-    "to_sitk": "fields",
-    "track": "files.tracking",
-    "view": "viewer.window.launch",
-    "warp_batch": "arrays",
-    "warp_file": "files",
+# The public names by the modules that define them. Modules are imported on first use, as image libraries load slowly.
+_NAMES = {
+    "arrays": "warp_batch",
+    "deformation": "Arrival Deformation Inverse Report",
+    "engine.sampling": "Sampling",
+    "errors": "DeviceWarning FoldError FoldWarning MissWarning OutsideWarning SuppleError "
+    "ToleranceWarning TrackWarning",
+    "fields": "Field Inverted Placed compose read_maps to_sitk",
+    "fields.checks": "FieldReport",
+    "files": "warp_file",
+    "files.maps": "grid_of",
+    "files.options": "GridOptions",
+    "files.tracking": "Tracked track",
+    "space.affine": "Affine",
+    "space.domain": "Domain",
+    "space.freezing": "Freeze",
+    "space.geometry": "Grid",
+    "space.straighten": "Straighten",
+    "strokes": "Recipe Stroke",
+    "strokes.keys": "Key",
+    "viewer.window.launch": "view",
 }
+_HOMES = {name: module for module, names in _NAMES.items() for name in names.split()}
+__all__ = sorted(_HOMES)
 
 
 def __getattr__(name: str) -> object:

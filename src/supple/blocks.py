@@ -95,10 +95,10 @@ class Warp:
         return replace(self.packed(), grid=self._grid.crop(first.tolist(), (end - first).tolist()))
 
     def packed(self) -> Space:
-        """Return the packed map. All blocks share it, as preparing a large cubic field takes long."""
+        """Return the packed map, unchecked. All blocks share it, as preparing a large cubic field takes long."""
         with _PACKING:
             if not self._packed:
-                self._packed.append(self.deformation.space_on(self._grid))
+                self._packed.append(self.deformation.space_on(self._grid, check=False))
             return self._packed[0]
 
     def plan(self, boxes: Sequence[Box], reads: Reads = all_reads) -> tuple[list[Block], Certificate]:

@@ -15,6 +15,7 @@ from supple.deformation import Deformation
 from supple.engine.sampling import DEFAULT, Sampling, SamplingFields, warn_of
 from supple.engine.work import work_of
 from supple.errors import SuppleError, need
+from supple.fields import check_path
 from supple.space.checks import refuse
 from supple.space.geometry import Grid
 
@@ -125,7 +126,8 @@ def _warped(array: Any, job: Warp, chunks: Any, first: int, stacklevel: int = 4)
     n, dims = job.deformation.ndim, len(array.shape)
     last = first + n  # the axis after the bent ones
     dtype = np.dtype(array.dtype)
-    # Checks the type and the channels.
+    # Checks the maps, the type and the channels.
+    check_path(reversed(job.deformation.maps), job.grid or job.deformation.grid)
     work_of((*job.deformation.shape, *array.shape[last:]), dtype, job.packed(), job.sampling, job.alpha)
     shape = (*array.shape[:first], *job.shape, *array.shape[last:])
     blocks = _chunks(array, chunks, shape, dtype, first, n)

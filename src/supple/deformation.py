@@ -717,7 +717,7 @@ class Deformation:
         """Return ``_points`` and ``_carriers`` after one more stroke."""
         own = padded([at for at, _ in stroke.handles], self.domain)
         points = np.concatenate([self._points[:, 2], own])
-        if resolved.substrokes:
+        if len(resolved.rows):
             points, _ = _core.forward(numbers(resolved.rows), self._space.axes, points, False, space.freeze)
         points[len(self._points)] = padded(resolved.arrived, self.domain)
         known, carriers, now = self._points.copy(), self._carriers.copy(), points[: len(self._points)]

@@ -309,7 +309,7 @@ REFUSED: dict[str, list[tuple[str, str]]] = {
         ("--save-field missing/map.zarr", "missing"),
         ("--save-field memory://x/map.zarr --workers 2", "memory of this process"),
         ("--save-field map.zarr --save-recipe map.zarr", "a recipe is JSON, and none is written as .zarr"),
-        ("--series 2", "--series is not for Zarr stores"),
+        ("--series 2", "Zarr stores take no --series: leave that out"),
         ("--world", "--world is for volumes"),
         ("--fill 3", "--outside constant"),
         ("--workers 0", "--workers must be"),

@@ -132,7 +132,7 @@ def _rate(option: str, text: str) -> "float | Fraction":
     return rate
 
 
-def _memory(option: str, text: str) -> float:
+def parse_memory(option: str, text: str) -> float:
     """Parse gigabytes, and return bytes."""
     from supple.files.options import GB
 
@@ -140,11 +140,6 @@ def _memory(option: str, text: str) -> float:
     if not memory >= 0:
         raise SuppleError(f"{option} must be a number of gigabytes from 0, found {text!r}")
     return min(memory, 1e12) * GB
-
-
-def memory_option(**more: Any) -> Parameter:
-    """Return an option that is given in gigabytes, and returned in bytes."""
-    return read(_memory, "GB", **more)
 
 
 @options_of(RUNNING)
@@ -297,7 +292,7 @@ class VideoOptions(TimeOptions):
     preset: Annotated[str | None, Parameter(metavar="NAME")] = None
     pixel_format: Annotated[str | None, Parameter(metavar="NAME")] = None
     rate: Annotated[Any, read(_rate, "N", name="--fps")] = None
-    memory: Annotated[float | None, memory_option()] = None
+    memory: Annotated[float | None, read(parse_memory, "GB")] = None
 
     def to_clip(self) -> "ClipOptions":
         """Return the options as a `ClipOptions`."""

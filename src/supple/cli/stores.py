@@ -106,14 +106,11 @@ def _check(job: Job, paths: Sequence[str]) -> None:
 
     given = {name: (getattr(job, name), usual) for name, (usual, _) in OPTIONS.items() if name != "volume"}
     names = [asked(name, value) for name, (value, usual) in given.items() if value != usual]
-    if is_store(paths[0]):
-        names += [argument(name) for name in ("series", "layout") if getattr(job.volume, name) is not None]
     if job.device not in ("cpu", "auto"):
         names.append(argument("device", job.device))
     if names:
         stored = next(path for path in paths if is_store(path))
-        verb, what = ("are", "them") if " and " in names[0] else ("is", "it")
-        raise SuppleError(f"{names[0]} {verb} not for Zarr stores, and {shown(stored)} is one: leave {what} out")
+        raise SuppleError(f"{names[0]} is not for Zarr stores, and {shown(stored)} is one: leave it out")
 
 
 def _facts(stored: WarpedStore) -> dict[str, Any]:

@@ -13,8 +13,8 @@ from supple.cli.options import (
     Frames,
     RunOptions,
     Texts,
-    memory_option,
     parse_first,
+    parse_memory,
     parse_number,
     read,
     text,
@@ -29,7 +29,7 @@ def track(
     *,
     at: Annotated[Texts, text("X,Y,K")] = (),
     first_frame: Annotated[Any, read(parse_first, "N|files", group=VIDEO)] = None,
-    memory: Annotated[float | None, memory_option(group=RUNNING)] = None,
+    memory: Annotated[float | None, read(parse_memory, "GB", group=RUNNING)] = None,
     options: RunOptions = RunOptions(),
 ) -> None:
     """Track points through a video, for --track of supple warp.

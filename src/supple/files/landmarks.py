@@ -163,14 +163,10 @@ def move_points(
     return Moved(Path(source), Path(target), len(made), moved_by, errors, len(beyond), first, lost)
 
 
-def _same(points: Floats) -> Floats:
-    return points
-
-
 def _ways(deformation: Deformation, geometry: Geometry | None, known: str) -> tuple[_Way, _Way]:
     """Return the functions from the points of a file to indices on a deformation's grid, and back."""
     if geometry is None or (known == "index" and not geometry.shear):
-        return _same, _same
+        return (lambda p: p), (lambda p: p)
     place = deformation.grid.geometry(geometry.convention) if geometry.shear else geometry
     if known != "index":
         return (lambda p: place.from_world(p, known)), (lambda p: place.to_world(p, known))

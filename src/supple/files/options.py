@@ -101,11 +101,6 @@ class VolumeOptions:
         if not isinstance(self.labels, bool) and self.labels not in ("nearest", "smooth"):
             refuse("labels", '"nearest" or "smooth", or a flag', self.labels)
 
-    @property
-    def label_filter(self) -> str:
-        """The filter for labels."""
-        return "labels" if self.labels == "smooth" else "nearest"
-
 
 @dataclass(frozen=True, slots=True)
 class GridOptions:

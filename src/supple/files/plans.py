@@ -133,9 +133,9 @@ def open_source(job: Job) -> Source:
         n = _axes_of_space(job, 3 if "z" in samples.axes else 2)
         geometry = samples.geometry if n == 3 else None
         return Source(shown(source), like_file(source, samples, ndim=n), samples, geometry)
-    for name, given in (("series", known.series), ("irregular", known.irregular), ("shape", known.layout)):
-        if given is not None:
-            raise SuppleError(f"{name} is not for Zarr stores: leave it out")
+    for name in ("series", "irregular", "layout"):
+        if getattr(known, name) is not None:
+            raise SuppleError(f"Zarr stores take no {argument(name)}: leave that out")
     image = open_image(source)
     n = _axes_of_space(job, len(image.spatial))
     image = image if n == len(image.spatial) else open_image(source, ndim=n)

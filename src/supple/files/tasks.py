@@ -128,8 +128,8 @@ class _Distributed(Runner):
                 if id(job) not in self._held:
                     # submitted as a task, not as data, so that it is repeated if its worker is lost
                     self._held[id(job)] = job, self._client.submit(pickle.loads, pickle.dumps(job), pure=False)
-                held = self._held[id(job)][1]
-                futures = self._client.map(_swapped, list(items), function=function, job=held, pure=False)
+                held = [self._held[id(job)][1]] * len(items)
+                futures = self._client.map(function, held, list(items), pure=False)
                 for future in _distributed().as_completed(futures):
                     if future.status != "finished":
                         future.result()  # which raises its error
@@ -159,10 +159,6 @@ class _Distributed(Runner):
         except (CancelledError, Cancelled, OSError) as error:
             why = said(error) if isinstance(error, OSError) else "their scheduler ended"
             raise SuppleError(f"{self._told} were lost ({why}): start them again; the same command goes on") from error
-
-
-def _swapped(item: Item, *, function: Callable[[Job, Item], Result], job: Job) -> Result:
-    return function(job, item)
 
 
 @contextlib.contextmanager

@@ -7,9 +7,8 @@ from __future__ import annotations
 
 import itertools
 import math
-import threading
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -39,10 +38,8 @@ ROUNDING = 2.0**-22
 """The accuracy of source points in samples: the core stores their fractions as float32."""
 PULL, PUSH = range(2)
 _WAYS = ("forward", "inverse")  # the format's names
-_TOGETHER = 4  # chunks for each task; a chunk is some megabytes
 _AT_ONCE = 4096  # tasks in the queue
 _SOLVED = 1e-9  # samples: the accuracy of T where it is solved iteratively
-_PACKING = threading.Lock()
 
 
 def displacement_of(
@@ -76,7 +73,8 @@ def displacement_of(
     float32 array, shape (Z, H, W, 3)
         The position of T⁻¹(q) minus that of q, in millimetres along the axes of LPS, x first.
     """
-    _check(deformation)
+    if deformation.ndim != 3:
+        raise SuppleError(f"a displacement field is of a volume, and shape {deformation.shape} has two axes")
     tolerance = number("tolerance", tolerance, "a number of voxels above 0", 1e-9, 1e9)
     space = deformation.space_on(grid)
     made = np.empty((*(deformation if grid is None else grid).shape, 3), np.float32) if out is None else out
@@ -147,16 +145,10 @@ def write_transform(
     """
     check_target(target)
     check_output(target, force=force)
-    _check(deformation)
     shape = deformation.shape if grid is None else grid.shape
     with beside(target, (*shape, 3), np.float32, MOST) as out:
         made = displacement_of(deformation, geometry, tolerance=tolerance, out=out, grid=grid, warn=warn)
         write_displacements(target, made, geometry, force=force)
-
-
-def _check(deformation: Deformation) -> None:
-    if deformation.ndim != 3:
-        raise SuppleError(f"a displacement field is of a volume, and shape {deformation.shape} has two axes")
 
 
 @dataclass(frozen=True, slots=True)
@@ -178,24 +170,13 @@ class Work:
 
     target: Target
     warp: Warp
+    own: Warp  # the same on the grid of the input, whose samples T maps
     scale: tuple[float, ...]
-    _packed: list[Space] = field(default_factory=list, init=False, repr=False, compare=False)
-
-    def __reduce__(self) -> tuple[type[Work], tuple[Any, ...]]:
-        """Pickle without `_packed`: the core's maps are not sent to other processes."""
-        return Work, (self.target, self.warp, self.scale)
 
     @property
     def matrix(self) -> Floats:
         """The matrix from vectors in samples of the input, x first, to vectors along stored axes, in their units."""
         return np.ascontiguousarray(np.diag(self.scale)[:, ::-1])
-
-    def push(self) -> Space:
-        """Return the map from the input to the output, computed once and shared by all blocks."""
-        with _PACKING:
-            if not self._packed:
-                self._packed.append(self.warp.deformation.space)
-            return self._packed[0]
 
 
 def is_scene(address: PathLike | None) -> bool:
@@ -232,13 +213,14 @@ def begin_field(
     files, paths = ngff.bijection(_axes(image), samples, own, "warp")
     job = f"field of {job}"
     check_free(address, files, job, force)
-    return lambda: Work(create_arrays(address, files, paths, force=force, job=job), warp, tuple(scale))
+    both = warp, replace(warp, grid=None)
+    return lambda: Work(create_arrays(address, files, paths, force=force, job=job), *both, tuple(scale))
 
 
 def write_field(work: Work, runner: Runner, tell: Tell, maps: Sequence[Placed]) -> SavedField:
     """Write both directions of a map; `Target.finish` remains to be called.
 
-    ``tell`` is called with ``"field"`` and the finished and the total number of tasks.
+    ``tell`` is called with ``"field"`` and the finished and the total number of chunks.
 
     Warns
     -----
@@ -247,15 +229,15 @@ def write_field(work: Work, runner: Runner, tell: Tell, maps: Sequence[Placed]) 
     """
     target, tolerance = work.target, work.warp.sampling.tolerance
     sizes = [chunks_of(block, array.shape) for block, array in zip(target.blocks, target.arrays, strict=True)]
-    counts = [math.prod(map(len, each)) for each in sizes]
-    advance = advancing(tell, "field", sum(-(-count // _TOGETHER) for count in counts))
-    items = itertools.chain.from_iterable(_batches(way, each) for way, each in enumerate(sizes))
+    count = sum(math.prod(map(len, each)) for each in sizes)
+    advance = advancing(tell, "field", count)
+    items = ((way, box) for way, each in enumerate(sizes) for box in boxes_of(each))
     certificates, stored, done = [Certificate(0.0, 0.0)] * 2, 0, 0
     while some := list(itertools.islice(items, _AT_ONCE)):
-        made = runner.each(_write_chunks, work, some, advance)
+        made = runner.each(_write_chunk, work, some, advance)
         for (way, _), (certificate, new, there) in zip(some, made, strict=True):
             certificates[way] |= certificate
-            stored += new + there
+            stored += new or there
             done += there
     pull, push = certificates
     warn_of(pull, tolerance, 4, folds_of(maps), only_name(maps))
@@ -263,34 +245,23 @@ def write_field(work: Work, runner: Runner, tell: Tell, maps: Sequence[Placed]) 
     target.note(
         {**{way: _told(one, tolerance) for way, one in zip(_WAYS, certificates, strict=True)}, "chunks": stored}
     )
-    return SavedField(target.address, tolerance, _error(pull), _error(push), sum(counts), stored, done)
+    return SavedField(target.address, tolerance, _error(pull), _error(push), count, stored, done)
 
 
-def _batches(way: int, sizes: Sequence[Sequence[int]]) -> Iterator[tuple[int, list[Box]]]:
-    boxes = boxes_of(sizes)
-    while some := list(itertools.islice(boxes, _TOGETHER)):
-        yield way, some
+def _write_chunk(work: Work, item: tuple[int, Box]) -> tuple[Certificate, bool, bool]:
+    """Write a chunk of one direction; return its certificate, whether it was written, and whether it existed.
 
-
-def _write_chunks(work: Work, item: tuple[int, list[Box]]) -> tuple[Certificate, int, int]:
-    """Write chunks of one direction; return their certificate, and the numbers of new and of existing ones.
-
-    Chunks without displacement are not stored. Existing chunks are solved again, so that the report covers all chunks,
-    but they are not written.
+    A chunk without displacement is not stored. An existing chunk is solved again, so that the report covers all chunks,
+    but it is not written.
     """
-    way, boxes = item
-    target = work.target
+    (way, box), target = item, work.target
     check_seen(target.site)
-    certificate, new, there = Certificate(0.0, 0.0), 0, 0
-    for box in boxes:
-        done = target.begun and target.is_done(way, box)
-        values, found = (_pulled if way == PULL else _pushed)(work, box[1:], done)
-        certificate |= found
-        there += done
-        if values is not None and values.any():
-            target.write(way, box, np.moveaxis(values, -1, 0))
-            new += 1
-    return certificate, new, there
+    done = target.begun and target.is_done(way, box)
+    values, certificate = (_pulled if way == PULL else _pushed)(work, box[1:], done)
+    new = values is not None and bool(values.any())
+    if values is not None and new:
+        target.write(way, box, np.moveaxis(values, -1, 0))
+    return certificate, new, done
 
 
 def _pulled(work: Work, box: Box, done: bool) -> tuple[npt.NDArray[np.float32] | None, Certificate]:
@@ -309,11 +280,10 @@ def _pulled(work: Work, box: Box, done: bool) -> tuple[npt.NDArray[np.float32] |
 
 def _pushed(work: Work, box: Box, done: bool) -> tuple[npt.NDArray[np.float32] | None, Certificate]:
     """Return T(p) - p for the samples of a part of the input; no values if it is stored already."""
-    space, certificate = work.push(), Certificate(0.0, 0.0)
+    space, certificate = work.own.packed(), Certificate(0.0, 0.0)
     if done and space.composite is None:
         return None, certificate
-    first, end = np.array(box)[::-1].T
-    part = replace(space, grid=work.warp.deformation.grid.crop(first.tolist(), (end - first).tolist()))
+    first, part = np.array(box)[::-1, 0], work.own.space(box)
     out = np.zeros((*_shape(box), len(box)), np.float32)
     rows, columns = np.indices(_shape(box)[-2:])
     points = np.empty((*rows.shape, len(box)))

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from supple.arrays import check_device, clamp_to, warp_array
+from supple.arrays import clamp_to, warp_array
 from supple.deformation import Deformation
 from supple.engine.memory import beside, machine_memory
 from supple.engine.sampling import Certificate, Sampling, warn_of
@@ -184,7 +184,7 @@ def _mapped(stroke: Stroke, there: Callable[[Floats], Floats], geometry: Geometr
 
 def filtered(job: Job) -> Sampling:
     """Return the sampling of a volume, with the filter for labels if it has these; SuppleError if it would mix them."""
-    name, wanted = job.sampling.filter, job.volume.label_filter
+    name, wanted = job.sampling.filter, "labels" if job.volume.labels == "smooth" else "nearest"
     if job.volume.labels and name not in ("auto", wanted):
         fit = "auto" if wanted == "labels" else wanted
         text = f'{argument("labels")} needs filter "{fit}", which keeps values as they are, found "{name}"'
@@ -205,10 +205,7 @@ def warp_volume(
     ``tell`` is called with ``"read"``, then with ``"warp"``, the number of finished slices, and their total, and with
     ``"write"``.
     """
-    job = job_of(source, target, recipe, **given)
-    check_device(job.device)
-    check(job)
-    return warp(job, tell)
+    return job_of(source, target, recipe, **given).warp(tell=tell)
 
 
 def warp(job: Job, tell: Tell) -> Warped:

@@ -66,11 +66,6 @@ class Resolved:
     cause: str | None = None
     warning: str | None = None
 
-    @property
-    def substrokes(self) -> int:
-        """The number of rows that make up the stroke."""
-        return len(self.rows)
-
 
 def described(stroke: Stroke) -> str:
     """Name a stroke in a message."""

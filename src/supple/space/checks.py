@@ -22,16 +22,7 @@ LARGEST = 1e30
 LENGTH = f"a number above 0 (from {SMALLEST:g} to {LARGEST:g})"
 LONGEST_AXIS = 2**31 - 1
 
-
-class _Short(reprlib.Repr):
-    def repr_int(self, x: int, level: int) -> str:
-        if x.bit_length() <= 64:
-            return repr(x)
-        # Python refuses to print integers of more than a few thousand digits.
-        return f"an integer of about {int(x.bit_length() * 0.30103) + 1} digits"
-
-
-_SHORT = _Short()
+_SHORT = reprlib.Repr()
 _SHORT.maxstring = _SHORT.maxother = 60
 
 
