@@ -307,7 +307,7 @@ def deformation_of(
 ) -> Deformation:
     """Return the deformation of a clip by a recipe: strokes with a time warp the clip, others each frame alike.
 
-    Points are relative to the ``display`` window, as in `supple.media.base.Clip`; ``hold`` is as in `ClipOptions`.
+    Points are relative to the ``display`` window of the clip; ``hold`` is as in `ClipOptions`.
     """
     known = recipe.time_scale if time_scale is None else length("time_scale", time_scale)
     worth = 1.0 if known is None else known

@@ -43,7 +43,7 @@ class Pictures:
     starts: Sequence[int] = ()  # start times of the frames, and the end, in milliseconds; empty for a constant rate
     rotation, mirrored = 0.0, False  # for display: degrees counterclockwise, after frames are mirrored left to right
     fields = ""  # the field of interlaced frames that is shown first
-    plays: int | None = None  # the number of times that it plays, as in `supple.media.base.Clip`
+    plays: int | None = None  # the number of times that an animation plays, 0 for ever; None for others
     unpictured: tuple[str, ...] = ()  # streams that are lost in images: sound, subtitles
     extra: tuple[int, ...] = ()  # the meanings of the channels above the colours, as in `Picture`
     # the display window, to which points are relative: x and y of its first pixel, width and height; or None
@@ -323,9 +323,9 @@ class PictureSink:
         """Write frame ``k``: arrays in the clip's layout."""
         name = self._names(k)
         clip, suffix = self._clip, Path(name).suffix.lower()
-        known = isinstance(clip, Pictures) and not isinstance(clip, Animation) and not any(self._options.values())
-        if still and known and suffix == clip.paths[k].suffix.lower():  # type: ignore[attr-defined]
-            shutil.copyfile(clip.paths[k], self._temporary / name)  # type: ignore[attr-defined]
+        kept = still and not isinstance(clip, Animation) and not any(self._options.values())
+        if kept and isinstance(clip, Pictures) and suffix == clip.paths[k].suffix.lower():
+            shutil.copyfile(clip.paths[k], self._temporary / name)
             self.copied += 1
             return
         self._save(k, *self._rendered(arrays, k))

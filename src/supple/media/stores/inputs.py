@@ -156,7 +156,7 @@ class Samples:
             if count < (promised := int(facts.get("images", 1))):
                 raise unreadable(path, f"it is said to hold {promised} images, and has {count} pages")
             if "z" in self.axes:
-                self.geometry = pages.place(path)
+                self.geometry = pages.place(path, file)
             interval = float(facts.get("finterval") or 0)
             self.interval = interval if 0 < interval < math.inf else None
             return _Opened(array, order, stack.pop_all().close)

@@ -227,15 +227,8 @@ def info(
 
 
 def _range(samples: Array) -> tuple[float | None, float | None, int]:
-    """Return the least and the greatest number, slab by slab, and the count of NaNs."""
-    low, high, nans = np.inf, -np.inf, 0
-    for slab in samples:
-        known = slab
-        if samples.dtype.kind == "f" and (bad := np.isnan(slab)).any():
-            nans += int(bad.sum())
-            known = slab[~bad]
-        if known.size:
-            low, high = min(low, known.min()), max(high, known.max())
+    """Return the least and the greatest number, and the count of NaNs."""
+    nans = sum(int(np.isnan(slab).sum()) for slab in samples) if samples.dtype.kind == "f" else 0
     if nans == samples.size:
         return None, None, nans
-    return samples.dtype.type(low).item(), samples.dtype.type(high).item(), nans
+    return np.fmin.reduce(samples, axis=None).item(), np.fmax.reduce(samples, axis=None).item(), nans
