@@ -188,7 +188,6 @@ def writer(
     if clip.unpictured:
         text = f"{shown(target)} gets pictures alone, without the {' and the '.join(clip.unpictured)} of {clip.name}"
         warnings.warn(text, ClipWarning, stacklevel=3)
-    clip.timed = True
     with (
         replacing(target, force=force) as temporary,
         tempfile.TemporaryDirectory(prefix=".", dir=temporary.parent) as folder,
