@@ -19,7 +19,7 @@ import pyvips
 
 from supple.engine.stream import Frame
 from supple.engine.work import Array, Group, Layout
-from supple.errors import SuppleError, argument, shown
+from supple.errors import SuppleError, shown
 from supple.media import image as pictures
 from supple.media.base import Clip, ClipWarning, LazyFrame
 from supple.media.files import PathLike, check_outputs, first_bytes, replacing_all
@@ -29,6 +29,7 @@ from supple.media.image.headers import collected, extra_of, facts
 from supple.media.image.vips import apart, decoded, opened, reading, sequential, widen
 from supple.media.numbering import first_number, has_number, matching, numbered, percent, pictures_in, spelling
 from supple.media.pictures import SUFFIXES_OUT
+from supple.space.checks import number
 
 _WHITE = {"uint8": 255.0, "uint16": 65535.0, "float32": 1.0}
 
@@ -255,13 +256,8 @@ def info(path: PathLike) -> dict[str, object]:
 
 
 def _rate(rate: float | Fraction) -> Fraction:
-    try:
-        known = Fraction(rate)
-    except (TypeError, ValueError, OverflowError):
-        known = Fraction(0)
-    if not Fraction(1, 10_000) <= known <= 100_000:
-        text = f"{argument('rate')} must be a number of frames a second from 0.0001 to 100000, found {rate!r}"
-        raise SuppleError(text)
+    number("rate", rate, "a number of frames a second from 0.0001 to 100000", 1e-4, 1e5)
+    known = Fraction(rate)
     ntsc = Fraction(round(known * 1001 / 1000) * 1000, 1001)
     if known > 1 and known.denominator > 2 and abs(known - ntsc) < Fraction(1, 200):
         return ntsc
@@ -377,11 +373,9 @@ def writer(
     target: PathLike,
     *,
     force: bool = False,
-    quality: int | None = None,
-    lossless: bool = False,
-    compression: str | None = None,
     only: int | None = None,
     first: int = 1,
+    **options: Any,
 ) -> Iterator[PictureSink]:
     """Write a clip's frames as images, which appear all together or not at all; or ``only`` one, as an image file.
 
@@ -389,8 +383,8 @@ def writer(
     if it has more than 8 and they can be converted; and are turned upright. ``target`` is a pattern such as
     ``out/%05d.png``, or a folder, which is created if it is missing. Numbers, and names in a folder, are those of the
     source's images; a video's start at ``first``, 1 by default, and are ``%05d.png``. Unchanged frames of a sequence
-    are copies of its files, if these are of the same format. ``quality``, ``lossless`` and ``compression`` are as in
-    `supple.media.image.write`.
+    are copies of its files, if these are of the same format. ``options`` are ``quality``, ``lossless`` and
+    ``compression``, as in `supple.media.image.write`.
 
     SuppleError if an image exists already, the format cannot hold these pixels, or nothing can be written there.
     """
@@ -407,7 +401,6 @@ def writer(
         folder, name = Path(text), _mirrored(clip, first)
     listed = [name(k) for k in (range(clip.count) if only is None else (only,))]
     check_outputs((folder / each for each in listed), force=force)
-    options = {"quality": quality, "lossless": lossless, "compression": compression}
     if clip.unpictured and only is None:
         text = f"{shown(folder)} gets pictures alone, without the {' and the '.join(clip.unpictured)} of {clip.name}"
         warnings.warn(text, ClipWarning, stacklevel=3)

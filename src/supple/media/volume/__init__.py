@@ -15,8 +15,9 @@ from supple.media.files import PathLike, check_output, check_suffix, head_of, is
 from supple.media.suffixes import FORMATS, is_volume, suffix_of
 from supple.media.suffixes import VOLUMES as SUFFIXES
 from supple.media.suffixes import VOLUMES_OUT as SUFFIXES_OUT
-from supple.media.volume import derived, raw
+from supple.media.volume import derived
 from supple.media.volume import pages as stack
+from supple.media.volume import raw as voxels
 from supple.media.volume.data import DTYPES, Array, RawLayout, Volume, rescaled, rescaled_dtype
 from supple.media.volume.pages import has_pages
 from supple.space.geometry import SIDES
@@ -39,7 +40,12 @@ def is_dicom(path: PathLike) -> bool:
 
 
 def read(
-    path: PathLike, *, raw: RawLayout | None = None, series: str | None = None, irregular: str | None = None
+    path: PathLike,
+    *,
+    raw: RawLayout | None = None,
+    series: str | None = None,
+    irregular: str | None = None,
+    header_only: bool = False,
 ) -> Volume:
     """Read a volume; where possible, uncompressed data are memory-mapped (NIfTI, .dat, files without a header).
 
@@ -54,6 +60,9 @@ def read(
     irregular : str, optional
         Missing or unevenly spaced DICOM slices are an error by default; ``"resample"`` interpolates the slices linearly
         along the stack, at even steps, with a warning.
+    header_only : bool
+        Whether to leave out the samples, which are 0 then, and take no memory, where the header alone is read: not of
+        DICOM and TIFF, as each slice has a header of its own.
 
     Raises
     ------
@@ -61,28 +70,17 @@ def read(
         If the file is missing, empty, cut short, damaged, or of an unknown kind; its voxels are not real numbers, or
         not on a regular grid with a spacing above 0.
     """
-    return _read(path, raw, series, irregular)
-
-
-def outline_of(
-    path: PathLike, *, raw: RawLayout | None = None, series: str | None = None, irregular: str | None = None
-) -> Volume:
-    """Return a volume from its header alone; samples have the right shape and dtype, but are 0, and take no memory.
-
-    DICOM and TIFF are read as a whole, as each slice has a header of its own.
-    """
-    known = _read(path, raw, series, irregular, header_only=True)
-    return replace(known, samples=np.broadcast_to(np.zeros((), known.samples.dtype), known.samples.shape))
-
-
-def _read(
-    path: PathLike, layout: RawLayout | None, series: str | None, irregular: str | None, *, header_only: bool = False
-) -> Volume:
-    form = "raw" if layout is not None else _format(path)
+    form = "raw" if raw is not None else _format(path)
     if form == "raw":
-        return raw.read_dat(path) if layout is None and suffix_of(path) == ".dat" else raw.read(path, layout)
+        return voxels.read_dat(path) if raw is None and suffix_of(path) == ".dat" else voxels.read(path, raw)
     options = {"series": series, "irregular": irregular} if form == "DICOM" else {"header_only": header_only}
     return _module(form).read(path, **({} if form == "TIFF" else options))  # type: ignore[no-any-return]
+
+
+def outline_of(path: PathLike, **how: Any) -> Volume:
+    """Return a volume as `read` does, whose samples have the right shape and dtype, but are 0, and take no memory."""
+    known = read(path, header_only=True, **how)
+    return replace(known, samples=np.broadcast_to(np.zeros((), known.samples.dtype), known.samples.shape))
 
 
 def _module(form: str) -> Any:

@@ -266,7 +266,7 @@ def _geometry(path: PathLike, first: Path, header: Any, sizes: tuple[int, ...], 
                 f"the qform and the sform of {name} disagree, by up to {far:.3g} mm: the {used} is used, as by {others}"
             )
     if text:
-        warnings.warn(text, VolumeWarning, stacklevel=6)
+        warnings.warn(text, VolumeWarning, stacklevel=5)
     return geometry
 
 

@@ -99,7 +99,7 @@ def read(path: PathLike) -> Volume:
         samples = np.expand_dims(samples, "t" in letters)
     if "x" in description and "z" not in description and sizes.get("z", 1) > 1:
         what = f"{shown(path)} does not tell how far its slices are apart (PhysicalSizeZ): as far as its columns"
-        warnings.warn(what, VolumeWarning, stacklevel=4)
+        warnings.warn(what, VolumeWarning, stacklevel=3)
     interval = description.get("finterval", 0.0)
     return Volume(
         native(samples),
