@@ -153,8 +153,6 @@ def write(path: PathLike, samples: Array, like: Volume, *, force: bool = False) 
         Whether to replace an existing file.
     """
     check_target(path, like, samples.dtype, force=force)
-    if suffix_of(path):
-        check_output(path, force=force)
     if samples.shape != like.samples.shape:
         what = f"the samples are of {samples.shape}, and {like.name} is of {like.samples.shape}"
         raise unwritable(path, what, "make them alike")
@@ -164,10 +162,8 @@ def write(path: PathLike, samples: Array, like: Volume, *, force: bool = False) 
     module.write(path, samples if scaled else rescaled(samples, like.scaling), like, force=force)
 
 
-def info(
-    path: PathLike, *, raw: RawLayout | None = None, series: str | None = None, irregular: str | None = None
-) -> dict[str, object]:
-    """Return the facts on a volume.
+def info(path: PathLike, **how: Any) -> dict[str, object]:
+    """Return the facts on a volume, with the options of `read`.
 
     Returns
     -------
@@ -180,7 +176,7 @@ def info(
         are more than 2 GiB), and ``bytes`` (of the samples). For a folder with several series, if none is named:
         ``format`` and ``series``, each with ``number``, ``uid``, ``description`` and ``slices``.
     """
-    if raw is None and series is None and os.path.isdir(path):
+    if how.get("raw") is None and how.get("series") is None and os.path.isdir(path):
         from supple.media.volume import dicom
 
         found = dicom.listed(path)
@@ -190,7 +186,7 @@ def info(
                 for k, one in enumerate(found, 1)
             ]
             return {"format": "DICOM", "series": kinds}
-    volume = read(path, raw=raw, series=series, irregular=irregular)
+    volume = read(path, **how)
     samples, geometry = volume.samples, volume.geometry
     low, high, nans = _range(samples) if samples.nbytes <= _QUICK else (None, None, None)
     unit = {}
