@@ -26,7 +26,8 @@ from supple.errors import OutsideWarning, SuppleError, argument, caller, countin
 from supple.files.jobs import Job, Warped
 from supple.files.options import ClipOptions, GridOptions, PathLike
 from supple.folding.resolved import warn_of_still
-from supple.media.base import Clip, ClipWarning, CountError
+from supple.media.base import ClipWarning, CountError
+from supple.media.clips import Clip
 from supple.media.files import check_output, replacing
 from supple.media.image import check_options, check_target
 from supple.media.medium import VIDEOS_OUT, is_animated

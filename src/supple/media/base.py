@@ -1,15 +1,11 @@
-"""What open videos and image sequences share: a type of both, their frames, a warning and an error."""
+"""What open videos and image sequences share: their frames, a warning and an error."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, TypeAlias
 
 from supple.engine.work import Array
-
-if TYPE_CHECKING:
-    from supple.media import sequence, video
 
 
 @dataclass(frozen=True, slots=True)
@@ -17,10 +13,6 @@ class LazyFrame:
     """A frame that is read or unpacked only when it is copied into arrays."""
 
     copy_to: Callable[[Sequence[Array]], None]
-
-
-Clip: TypeAlias = "sequence.Pictures | video.Clip"
-"""An open image sequence or video, whose frames are read in order."""
 
 
 class ClipWarning(UserWarning):

@@ -21,7 +21,7 @@ from supple.engine.stream import Frame
 from supple.engine.work import Array, Group, Layout
 from supple.errors import SuppleError, shown
 from supple.media import image as pictures
-from supple.media.base import Clip, ClipWarning, LazyFrame
+from supple.media.base import ClipWarning, LazyFrame
 from supple.media.files import PathLike, check_outputs, first_bytes, replacing_all
 from supple.media.image import ImageWarning, MetadataWarning, PageWarning, Picture, exr
 from supple.media.image.formats import DTYPES, divided, is_exr
@@ -305,7 +305,7 @@ class PictureSink:
     aside = False
 
     def __init__(
-        self, clip: Clip, folder: Path, temporary: Path, names: Callable[[int], str], options: dict[str, Any]
+        self, clip: Any, folder: Path, temporary: Path, names: Callable[[int], str], options: dict[str, Any]
     ) -> None:
         self._clip, self._folder, self._temporary, self._names = clip, folder, temporary, names
         self._options = options
@@ -369,7 +369,7 @@ class PictureSink:
 
 @contextlib.contextmanager
 def writer(
-    clip: Clip,
+    clip: Any,
     target: PathLike,
     *,
     force: bool = False,
@@ -415,7 +415,7 @@ def writer(
             warnings.warn(text, ImageWarning, stacklevel=3)
 
 
-def _mirrored(clip: Clip, first: int) -> Callable[[int], str]:
+def _mirrored(clip: Any, first: int) -> Callable[[int], str]:
     """Return the names in a folder: those of the source, in a writable format."""
     if not isinstance(clip, Pictures):
         return lambda k: f"{first + k:05d}.png"
