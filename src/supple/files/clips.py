@@ -26,7 +26,8 @@ from supple.errors import OutsideWarning, SuppleError, argument, caller, countin
 from supple.files.jobs import Job, Warped
 from supple.files.options import ClipOptions, GridOptions, PathLike
 from supple.folding.resolved import warn_of_still
-from supple.media.base import Clip, ClipWarning, CountError
+from supple.media.base import ClipWarning, CountError
+from supple.media.clips import Clip
 from supple.media.files import check_output, replacing
 from supple.media.image import check_options, check_target
 from supple.media.medium import VIDEOS_OUT, is_animated
@@ -307,7 +308,7 @@ def deformation_of(
 ) -> Deformation:
     """Return the deformation of a clip by a recipe: strokes with a time warp the clip, others each frame alike.
 
-    Points are relative to the ``display`` window, as in `supple.media.base.Clip`; ``hold`` is as in `ClipOptions`.
+    Points are relative to the ``display`` window of the clip; ``hold`` is as in `ClipOptions`.
     """
     known = recipe.time_scale if time_scale is None else length("time_scale", time_scale)
     worth = 1.0 if known is None else known

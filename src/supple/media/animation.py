@@ -169,32 +169,22 @@ def _changed(pixels: Array, before: Array | None, step: int) -> Box:
 
 
 @contextlib.contextmanager
-def writer(
-    clip: Any,
-    target: PathLike,
-    *,
-    force: bool = False,
-    quality: int | None = None,
-    lossless: bool = False,
-    compression: str | None = None,
-) -> Iterator[AnimationSink]:
+def writer(clip: Any, target: PathLike, *, force: bool = False, **options: Any) -> Iterator[AnimationSink]:
     """Write a clip's frames as one animated picture, WebP or PNG by the suffix, which appears whole or not at all.
 
     Frames are stills as `supple.media.sequence.writer` writes them, of RGB or RGBA, upright, of 16 bits in a PNG if the
     clip has more than 8; the first one's profile and headers are the file's. Times are those of the clip: fractions in
     a PNG, whole milliseconds in a WebP, which do not add up errors; it plays as often as the source, and for ever if
-    that is a film. SuppleError as of `sequence.writer`.
+    that is a film. Options and SuppleError are those of `sequence.writer`.
     """
     if clip.unpictured:
         text = f"{shown(target)} gets pictures alone, without the {' and the '.join(clip.unpictured)} of {clip.name}"
         warnings.warn(text, ClipWarning, stacklevel=3)
-    clip.timed = True
     with (
         replacing(target, force=force) as temporary,
         tempfile.TemporaryDirectory(prefix=".", dir=temporary.parent) as folder,
         open(temporary, "wb") as file,
     ):
-        options = {"quality": quality, "lossless": lossless, "compression": compression}
         sink = AnimationSink(clip, Path(target), Path(folder), file, options)
         yield sink
         sink.finish()

@@ -19,9 +19,9 @@ import pyvips
 
 from supple.engine.stream import Frame
 from supple.engine.work import Array, Group, Layout
-from supple.errors import SuppleError, argument, shown
+from supple.errors import SuppleError, shown
 from supple.media import image as pictures
-from supple.media.base import Clip, ClipWarning, LazyFrame
+from supple.media.base import ClipWarning, LazyFrame
 from supple.media.files import PathLike, check_outputs, first_bytes, replacing_all
 from supple.media.image import ImageWarning, MetadataWarning, PageWarning, Picture, exr
 from supple.media.image.formats import DTYPES, divided, is_exr
@@ -29,6 +29,7 @@ from supple.media.image.headers import collected, extra_of, facts
 from supple.media.image.vips import apart, decoded, opened, reading, sequential, widen
 from supple.media.numbering import first_number, has_number, matching, numbered, percent, pictures_in, spelling
 from supple.media.pictures import SUFFIXES_OUT
+from supple.space.checks import number
 
 _WHITE = {"uint8": 255.0, "uint16": 65535.0, "float32": 1.0}
 
@@ -43,7 +44,7 @@ class Pictures:
     starts: Sequence[int] = ()  # start times of the frames, and the end, in milliseconds; empty for a constant rate
     rotation, mirrored = 0.0, False  # for display: degrees counterclockwise, after frames are mirrored left to right
     fields = ""  # the field of interlaced frames that is shown first
-    plays: int | None = None  # the number of times that it plays, as in `supple.media.base.Clip`
+    plays: int | None = None  # the number of times that an animation plays, 0 for ever; None for others
     unpictured: tuple[str, ...] = ()  # streams that are lost in images: sound, subtitles
     extra: tuple[int, ...] = ()  # the meanings of the channels above the colours, as in `Picture`
     # the display window, to which points are relative: x and y of its first pixel, width and height; or None
@@ -255,13 +256,8 @@ def info(path: PathLike) -> dict[str, object]:
 
 
 def _rate(rate: float | Fraction) -> Fraction:
-    try:
-        known = Fraction(rate)
-    except (TypeError, ValueError, OverflowError):
-        known = Fraction(0)
-    if not Fraction(1, 10_000) <= known <= 100_000:
-        text = f"{argument('rate')} must be a number of frames a second from 0.0001 to 100000, found {rate!r}"
-        raise SuppleError(text)
+    number("rate", rate, "a number of frames a second from 0.0001 to 100000", 1e-4, 1e5)
+    known = Fraction(rate)
     ntsc = Fraction(round(known * 1001 / 1000) * 1000, 1001)
     if known > 1 and known.denominator > 2 and abs(known - ntsc) < Fraction(1, 200):
         return ntsc
@@ -309,7 +305,7 @@ class PictureSink:
     aside = False
 
     def __init__(
-        self, clip: Clip, folder: Path, temporary: Path, names: Callable[[int], str], options: dict[str, Any]
+        self, clip: Any, folder: Path, temporary: Path, names: Callable[[int], str], options: dict[str, Any]
     ) -> None:
         self._clip, self._folder, self._temporary, self._names = clip, folder, temporary, names
         self._options = options
@@ -323,9 +319,9 @@ class PictureSink:
         """Write frame ``k``: arrays in the clip's layout."""
         name = self._names(k)
         clip, suffix = self._clip, Path(name).suffix.lower()
-        known = isinstance(clip, Pictures) and not isinstance(clip, Animation) and not any(self._options.values())
-        if still and known and suffix == clip.paths[k].suffix.lower():  # type: ignore[attr-defined]
-            shutil.copyfile(clip.paths[k], self._temporary / name)  # type: ignore[attr-defined]
+        kept = still and not isinstance(clip, Animation) and not any(self._options.values())
+        if kept and isinstance(clip, Pictures) and suffix == clip.paths[k].suffix.lower():
+            shutil.copyfile(clip.paths[k], self._temporary / name)
             self.copied += 1
             return
         self._save(k, *self._rendered(arrays, k))
@@ -373,15 +369,13 @@ class PictureSink:
 
 @contextlib.contextmanager
 def writer(
-    clip: Clip,
+    clip: Any,
     target: PathLike,
     *,
     force: bool = False,
-    quality: int | None = None,
-    lossless: bool = False,
-    compression: str | None = None,
     only: int | None = None,
     first: int = 1,
+    **options: Any,
 ) -> Iterator[PictureSink]:
     """Write a clip's frames as images, which appear all together or not at all; or ``only`` one, as an image file.
 
@@ -389,8 +383,8 @@ def writer(
     if it has more than 8 and they can be converted; and are turned upright. ``target`` is a pattern such as
     ``out/%05d.png``, or a folder, which is created if it is missing. Numbers, and names in a folder, are those of the
     source's images; a video's start at ``first``, 1 by default, and are ``%05d.png``. Unchanged frames of a sequence
-    are copies of its files, if these are of the same format. ``quality``, ``lossless`` and ``compression`` are as in
-    `supple.media.image.write`.
+    are copies of its files, if these are of the same format. ``options`` are ``quality``, ``lossless`` and
+    ``compression``, as in `supple.media.image.write`.
 
     SuppleError if an image exists already, the format cannot hold these pixels, or nothing can be written there.
     """
@@ -407,7 +401,6 @@ def writer(
         folder, name = Path(text), _mirrored(clip, first)
     listed = [name(k) for k in (range(clip.count) if only is None else (only,))]
     check_outputs((folder / each for each in listed), force=force)
-    options = {"quality": quality, "lossless": lossless, "compression": compression}
     if clip.unpictured and only is None:
         text = f"{shown(folder)} gets pictures alone, without the {' and the '.join(clip.unpictured)} of {clip.name}"
         warnings.warn(text, ClipWarning, stacklevel=3)
@@ -422,7 +415,7 @@ def writer(
             warnings.warn(text, ImageWarning, stacklevel=3)
 
 
-def _mirrored(clip: Clip, first: int) -> Callable[[int], str]:
+def _mirrored(clip: Any, first: int) -> Callable[[int], str]:
     """Return the names in a folder: those of the source, in a writable format."""
     if not isinstance(clip, Pictures):
         return lambda k: f"{first + k:05d}.png"

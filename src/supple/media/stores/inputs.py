@@ -19,7 +19,7 @@ from supple.media.files import PathLike, head_of, unreadable
 from supple.media.stores.image import StoredImage, described
 from supple.media.stores.places import Place, quiet
 from supple.media.transforms.ngff import ORIENTATIONS
-from supple.media.volume import RawLayout, pages
+from supple.media.volume import pages
 from supple.media.volume.data import rescaled, rescaled_dtype
 from supple.space.geometry import Geometry, check_upright
 
@@ -54,20 +54,18 @@ class Samples:
     geometry: Geometry | None = None
     interval: float | None = None  # seconds from a time to the next, if they are known
 
-    def __init__(
-        self, path: PathLike, *, raw: RawLayout | None = None, series: str | None = None, irregular: str | None = None
-    ) -> None:
-        self._path, self._reading = os.fspath(path), (raw, series, irregular)
+    def __init__(self, path: PathLike, **how: Any) -> None:
+        self._path, self._how = os.fspath(path), how  # as in `supple.media.volume.read`
         self._scaling = 1.0, 0.0
         self._lock = threading.Lock()
         self._opened: _Opened | None = None
-        whole = raw is not None or series is not None or os.path.isdir(path)
+        whole = how.get("raw") is not None or how.get("series") is not None or os.path.isdir(path)
         if not whole and os.path.splitext(path)[1].lower() in _TIFF:
             self._kind = "tiff"
             self._opened = self._open_tiff()
         elif whole or volume.is_volume(path):
             self._kind = "volume"
-            found = volume.outline_of(path, raw=raw, series=series, irregular=irregular)
+            found = volume.outline_of(path, **how)
             check_upright(found.geometry, found.name, "work in blocks")
             self.axes = "tzyx" if found.series else "zyx" if found.samples.ndim == 3 else "czyx"
             shape, self.geometry, self._scaling = found.samples.shape, found.geometry, found.scaling
@@ -120,9 +118,7 @@ class Samples:
         if self._kind == "picture":
             return _Opened(image.read(self._path).pixels, (2, 0, 1) if self.axes == "cyx" else (0, 1))
         order = (3, 0, 1, 2) if self.axes == "czyx" else range(len(self.axes))
-        raw, series, irregular = self._reading
-        found = volume.read(self._path, raw=raw, series=series, irregular=irregular)
-        return _Opened(found.samples, order)
+        return _Opened(volume.read(self._path, **self._how).samples, order)
 
     def _open_tiff(self) -> _Opened:
         """Open a TIFF by tifffile, which reads single tiles and strips, and knows the axes of OME-TIFF and ImageJ."""
@@ -156,7 +152,7 @@ class Samples:
             if count < (promised := int(facts.get("images", 1))):
                 raise unreadable(path, f"it is said to hold {promised} images, and has {count} pages")
             if "z" in self.axes:
-                self.geometry = pages.place(path)
+                self.geometry = pages.place(path, file)
             interval = float(facts.get("finterval") or 0)
             self.interval = interval if 0 < interval < math.inf else None
             return _Opened(array, order, stack.pop_all().close)

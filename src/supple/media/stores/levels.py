@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import math
 from collections.abc import Sequence
-from itertools import pairwise, product
+from itertools import pairwise
 from typing import Any, Literal
 
 import numpy as np
@@ -142,38 +143,25 @@ def reduced(values: Array, factors: Sequence[int], mode: Mode) -> Array:
     """
     if mode == "nearest":
         return np.ascontiguousarray(values[tuple(slice(None, None, factor) for factor in factors)])
-    result = np.empty([-(-size // factor) for size, factor in zip(values.shape, factors, strict=True)], values.dtype)
-    # parts in which all groups have the same number of samples: the whole groups, and the incomplete ones of each axis
-    parts: list[list[tuple[slice, slice, int]]] = []
-    for size, factor in zip(values.shape, factors, strict=True):
-        whole, rest = divmod(size, factor)
-        axis = [(slice(0, whole * factor), slice(0, whole), factor)] if whole else []
-        axis += [(slice(whole * factor, size), slice(whole, whole + 1), rest)] if rest else []
-        parts.append(axis)
-    for chosen in product(*parts):
-        read, written, counts = zip(*chosen, strict=True)
-        result[written] = _mean(values[read], counts)
-    return result
-
-
-def _mean(values: Array, counts: tuple[int, ...]) -> Array:
-    """Return the means of groups of ``counts`` samples, which divide the shape."""
-    # an accumulator of the result's size, and strided views, need no more memory than the result
-    groups = [values[tuple(map(slice, first, [None] * len(first), counts))] for first in np.ndindex(*counts)]
-    n, dtype = len(groups), values.dtype
+    sizes = [np.diff([*range(0, size, f), size]) for size, f in zip(values.shape, factors, strict=True)]
+    counts: Array = np.asarray(math.prod(np.ix_(*sizes)))  # the number of samples of each group
+    dtype = values.dtype
+    # accumulators of the result's size, and strided views, need no more memory than the result
+    views = [values[tuple(map(slice, first, [None] * len(first), factors))] for first in np.ndindex(*factors)]
+    parts = [tuple(map(slice, one.shape)) for one in views]  # incomplete groups at the end are not in all views
     if dtype.kind == "f" or dtype.itemsize < 8:
-        total = np.zeros(groups[0].shape, np.float64)  # sums 32-bit integers exactly
-        for one in groups:
-            total += one
-        total /= n
+        total = np.zeros(counts.shape, np.float64)  # sums 32-bit integers exactly
+        for part, one in zip(parts, views, strict=True):
+            total[part] += one
+        total /= counts
         return np.asarray((total if dtype.kind == "f" else np.rint(total)).astype(dtype))
     # sums of 64-bit integers would overflow; sums of quotients and remainders do not
-    whole, rest = np.zeros(groups[0].shape, dtype), np.zeros(groups[0].shape, dtype)
-    for one in groups:
-        quotient, remainder = np.divmod(one, dtype.type(n))
-        whole += quotient
-        rest += remainder
-    more, rest = np.divmod(rest, dtype.type(n))
+    counts = counts.astype(dtype)
+    whole, rest = np.zeros(counts.shape, dtype), np.zeros(counts.shape, dtype)
+    for part, one in zip(parts, views, strict=True):
+        quotient, remainder = np.divmod(one, counts[part])
+        whole[part] += quotient
+        rest[part] += remainder
+    more, rest = np.divmod(rest, counts)
     whole += more
-    up = (rest > n // 2) if n % 2 else (rest > n // 2) | ((rest == n // 2) & (whole % 2 == 1))
-    return np.asarray((whole + up.astype(dtype)).astype(dtype))
+    return np.asarray(whole + ((2 * rest > counts) | ((2 * rest == counts) & (whole % 2 == 1))).astype(dtype))

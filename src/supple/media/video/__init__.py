@@ -61,7 +61,7 @@ class Clip(VideoSource):
     def __init__(self, path: PathLike, threads: int | None, count: int | None) -> None:
         self._threads = threads or all_threads()
         self._pump: Iterator[av.Packet[Any]] | None = None
-        self._times: demux.Times | None = None
+        self._times: list[tuple[int, int]] = []  # start and duration of the frames that were decoded, in ticks
         self._packets: deque[av.Packet[Any] | None] = deque()
         self._fresh = True
         self._sturdy = count is not None
@@ -166,11 +166,8 @@ class Clip(VideoSource):
         return f"{promised - found} of its {promised} frames ({lost:.2f} of {whole:.2f} s) {be} lost"
 
     def time(self, k: int) -> tuple[int, int]:
-        """Return the start and the duration of frame `k` in ticks of `base`; call it once for each frame, in order."""
-        assert self._times is not None
-        assert self._times.kept, "the frame has not been read"
-        found = self._times.kept.popleft()
-        return (self._starts[k], self._starts[k + 1] - self._starts[k]) if self._starts else found
+        """Return the start and the duration of frame `k` in ticks of `base`, after it was decoded."""
+        return (self._starts[k], self._starts[k + 1] - self._starts[k]) if self._starts else self._times[k]
 
     def packet(self, k: int) -> av.Packet[Any] | None:
         """Return the packet of frame `k` alone, or None; call it once for each frame, in order."""
@@ -188,10 +185,8 @@ class Clip(VideoSource):
         self._fresh = False
         film = demux.chosen(self.source, self.path)
         others = [self.source.streams[index] for index in self.passage.indices] if self.passage else []
-        times = demux.Times(
-            self.base, demux.usual_step(self.rate, self.base), deque() if self.passage or self.timed else None
-        )
-        self._times = times
+        times = self._times = []
+        usual = demux.usual_step(self.rate, self.base)
         counted = demux.is_counted(self.source)
         shown_at: deque[int] = deque()
         copies = self.copies
@@ -214,10 +209,11 @@ class Clip(VideoSource):
                 self._check(frame, found)
                 found += 1
                 if found <= self.count:
-                    lasts = frame.duration
-                    if found == self.count and demux.sums_up(self.source):
-                        lasts = times.left(frame.pts, round(self.survey.duration / self.base)) or lasts
-                    times.add(shown_at.popleft() if shown_at else frame.pts, lasts)
+                    lasts = frame.duration if frame.duration and frame.duration > 0 else usual
+                    if found == self.count and demux.sums_up(self.source) and frame.pts is not None and times:
+                        left = round(self.survey.duration / self.base) - (frame.pts - times[0][0])
+                        lasts = left if left > 0 else lasts
+                    demux.add_time(times, shown_at.popleft() if shown_at else frame.pts, lasts)
                     if copies:
                         made_of = sent.pop(frame.pts, None)
                         self._packets.append(None if frame.is_corrupt else made_of)

@@ -8,12 +8,11 @@ import mmap
 import os
 import re
 from bisect import bisect_right
-from collections import deque
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import av
 from av.format import Flags as FormatFlags
@@ -248,34 +247,11 @@ def decoded_by(decoder: av.VideoCodecContext, packet: av.Packet[Any] | None) -> 
         return None
 
 
-@dataclass(slots=True)
-class Times:
-    """The display times of frames, in ticks of the stream, strictly increasing."""
-
-    base: Fraction  # seconds a tick
-    step: int  # default ticks from frame to frame
-    kept: deque[tuple[int, int]] | None = None
-    _first: int | None = field(default=None, repr=False)
-    _last: int | None = field(default=None, repr=False)
-    _due: int = field(default=0, repr=False)
-
-    def add(self, pts: int | None, duration: int | None) -> None:
-        """Add the time of the next frame, corrected if it is missing or not later than the one before."""
-        start = self._due if pts is None else pts
-        if self._last is not None and start <= self._last:
-            start = self._last + 1
-        if self._first is None:
-            self._first = start
-        length = duration if duration and duration > 0 else self.step
-        self._last, self._due = start, max(start + 1, start + length)
-        if self.kept is not None:
-            self.kept.append((start, length))
-
-    def left(self, pts: int | None, span: int) -> int | None:
-        """Return the duration of the last frame, shown at `pts`, for a total of `span` ticks; None if not positive."""
-        if pts is None or self._first is None or span <= pts - self._first:
-            return None
-        return span - (pts - self._first)
+def add_time(times: list[tuple[int, int]], pts: int | None, lasts: int) -> None:
+    """Add start and duration of a frame to those before it, in ticks; a start that is missing or not later is moved."""
+    before, due = (times[-1][0], sum(times[-1])) if times else (None, 0)
+    start = due if pts is None else pts
+    times.append((start if before is None else max(start, before + 1), lasts))
 
 
 def usual_step(rate: Fraction, base: Fraction) -> int:
@@ -283,17 +259,13 @@ def usual_step(rate: Fraction, base: Fraction) -> int:
     return max(1, round(1 / (rate * base)))
 
 
-@dataclass(frozen=True, slots=True)
-class Index:
+class Index(NamedTuple):
     """The index of the frames of a film by time."""
 
-    starts: tuple[int, ...]  # display times, in ticks of the stream, in order
+    starts: list[int]  # display times, in ticks of the stream, in order
+    numbers: dict[int, int]  # of frames, by these times
     # key frames, at which decoding may begin; frames shown before one but stored after it may need earlier ones
-    keys: tuple[int, ...]
-    numbers: dict[int, int] = field(init=False, repr=False)
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "numbers", {start: k for k, start in enumerate(self.starts)})
+    keys: list[int]
 
     def before(self, k: int) -> int:
         """Return the last frame, not after `k`, at which decoding may begin; 0 for the start."""
@@ -322,7 +294,7 @@ def index_of(path: PathLike, count: int) -> Index | None:
                     keys.append(packet.pts)
         except av.FFmpegError:
             return None
-    made = Index(tuple(sorted(starts)), ())
-    if len(starts) != count or len(made.numbers) != count:
+    numbers = {start: k for k, start in enumerate(sorted(starts))}
+    if not len(starts) == len(numbers) == count:
         return None
-    return Index(made.starts, tuple(sorted(made.numbers[key] for key in keys)))
+    return Index(sorted(starts), numbers, sorted(numbers[key] for key in keys))

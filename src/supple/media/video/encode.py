@@ -27,32 +27,6 @@ from supple.media.video.streams import Passage, kept_tags, titled
 _FELT = Fraction(1, 4)  # of a frame: larger errors of time are reported
 
 
-class Palettes:
-    """A filter from BGRA to 256 colours, with a palette for each frame."""
-
-    def __init__(self, width: int, height: int) -> None:
-        self._graph = Graph()
-        source = self._graph.add_buffer(
-            width=width, height=height, format=av.VideoFormat("bgra"), time_base=Fraction(1, 100)
-        )
-        split = self._graph.add("split")
-        palette = self._graph.add("palettegen", "stats_mode=single")
-        use = self._graph.add("paletteuse", "new=1")
-        sink = self._graph.add("buffersink")
-        split.link_to(palette, 1, 0)
-        palette.link_to(use, 0, 1)
-        self._graph.link_nodes(source, split, use, sink).configure()
-
-    def add(self, frame: av.VideoFrame | None) -> Iterator[av.VideoFrame]:
-        """Filter a frame, and yield the finished frames; after None, the remaining ones."""
-        self._graph.vpush(frame)
-        while True:
-            try:
-                yield self._graph.vpull()
-            except (av.error.BlockingIOError, av.error.EOFError):
-                return
-
-
 class Sink:
     """A sink of a video's frames; see `writer`."""
 
@@ -72,7 +46,6 @@ class Sink:
         self._newest = 0
         self._span = (0, 0)  # from the start of the first frame to the end of the last
         self._decoding: tuple[int, int] | None = None  # the first and the last decoding time of packets
-        self._palettes = Palettes(video.width, video.height) if plan.encoder.name == "gif" else None
         self._output = av.open(
             str(temporary),
             "w",
@@ -138,17 +111,16 @@ class Sink:
                     return
                 # While earlier frames are in the encoder, it is encoded too, which flushes them.
         frame = self._frame(arrays)
-        frame.time_base = self._stream.codec_context.time_base
+        frame.time_base = self._stream.codec_context.time_base  # filters set their own time base
         frame.pts = stamp
-        for made in self._palettes.add(frame) if self._palettes else [frame]:
-            self._encode(made)
+        self._mux(self._stream.encode(frame))
 
     def _frame(self, arrays: Sequence[Array]) -> av.VideoFrame:
         video, chosen = self._video, self._plan.match
         shape, colour = (video.height, video.width), self._colour
-        if self._palettes:
+        if self._plan.encoder.name == "gif":
             self._warn_of_half_opacity(arrays)
-            return recast(arrays, video.form, colour, form("bgra") or video.form, Colour(2, matrix=0), shape)
+            return _paletted(recast(arrays, video.form, colour, form("bgra") or video.form, Colour(2, matrix=0), shape))
         if chosen.opacity and (arrays[0][..., -1] < video.layout.white).any():
             self._plan.warn("loses opacity")
             self._plan.match = chosen = replace(chosen, opacity=False)
@@ -179,10 +151,6 @@ class Sink:
         if ((opacity > 0) & (opacity < self._video.layout.white)).any():
             self._halved = True
             self._plan.warn("has pixels that are seen or not: what is half transparent becomes one of these")
-
-    def _encode(self, frame: av.VideoFrame) -> None:
-        frame.time_base = self._stream.codec_context.time_base  # filters set their own time base
-        self._mux(self._stream.encode(frame))
 
     def _stamp(self, k: int, pts: int, duration: int) -> int:
         """Return the time for the encoder, and record the time for the file."""
@@ -257,9 +225,6 @@ class Sink:
 
     def finish(self) -> None:
         """Write the remaining packets, and close the file."""
-        if self._palettes:
-            for made in self._palettes.add(None):
-                self._encode(made)
         self._mux(self._stream.encode(None), self._plan.container.mp4)
         for packet in self._video.rest():
             self._passage.take(packet)
@@ -274,6 +239,19 @@ class Sink:
         """Close the file in any state."""
         with contextlib.suppress(av.FFmpegError, OSError, ValueError):
             self._output.close()
+
+
+def _paletted(frame: av.VideoFrame) -> av.VideoFrame:
+    """Return a frame of BGRA in 256 colours of its own."""
+    graph = Graph()
+    source = graph.add_buffer(width=frame.width, height=frame.height, format=frame.format, time_base=Fraction(1, 100))
+    split, palette, use = graph.add("split"), graph.add("palettegen", "stats_mode=single"), graph.add("paletteuse")
+    split.link_to(palette, 1, 0)
+    palette.link_to(use, 0, 1)
+    graph.link_nodes(source, split, use, graph.add("buffersink")).configure()
+    graph.vpush(frame)
+    graph.vpush(None)
+    return graph.vpull()
 
 
 @contextlib.contextmanager

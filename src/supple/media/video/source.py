@@ -37,7 +37,6 @@ class VideoSource:
     grading = Grading()
     source: av.container.InputContainer | None = None
     passage: Passage | None = None  # receives the packets of other streams during writing
-    timed = False  # whether times of frames are recorded without a passage, too
     display: tuple[int, int, int, int] | None = None
     copies = False  # whether packets of frames are kept for copying
 
@@ -58,7 +57,7 @@ class VideoSource:
         return self.layout.shape[0]
 
     def time(self, k: int) -> tuple[int, int]:
-        """Return the start and the duration of frame `k` in ticks of `base`; call it once for each frame, in order."""
+        """Return the start and the duration of frame `k` in ticks of `base`."""
         return k, 1
 
     def packet(self, k: int) -> av.Packet[Any] | None:

@@ -15,8 +15,9 @@ from supple.media.files import PathLike, check_output, check_suffix, head_of, is
 from supple.media.suffixes import FORMATS, is_volume, suffix_of
 from supple.media.suffixes import VOLUMES as SUFFIXES
 from supple.media.suffixes import VOLUMES_OUT as SUFFIXES_OUT
-from supple.media.volume import derived, raw
+from supple.media.volume import derived
 from supple.media.volume import pages as stack
+from supple.media.volume import raw as voxels
 from supple.media.volume.data import DTYPES, Array, RawLayout, Volume, rescaled, rescaled_dtype
 from supple.media.volume.pages import has_pages
 from supple.space.geometry import SIDES
@@ -39,7 +40,12 @@ def is_dicom(path: PathLike) -> bool:
 
 
 def read(
-    path: PathLike, *, raw: RawLayout | None = None, series: str | None = None, irregular: str | None = None
+    path: PathLike,
+    *,
+    raw: RawLayout | None = None,
+    series: str | None = None,
+    irregular: str | None = None,
+    header_only: bool = False,
 ) -> Volume:
     """Read a volume; where possible, uncompressed data are memory-mapped (NIfTI, .dat, files without a header).
 
@@ -54,6 +60,9 @@ def read(
     irregular : str, optional
         Missing or unevenly spaced DICOM slices are an error by default; ``"resample"`` interpolates the slices linearly
         along the stack, at even steps, with a warning.
+    header_only : bool
+        Whether to leave out the samples, which are 0 then, and take no memory, where the header alone is read: not of
+        DICOM and TIFF, as each slice has a header of its own.
 
     Raises
     ------
@@ -61,28 +70,17 @@ def read(
         If the file is missing, empty, cut short, damaged, or of an unknown kind; its voxels are not real numbers, or
         not on a regular grid with a spacing above 0.
     """
-    return _read(path, raw, series, irregular)
-
-
-def outline_of(
-    path: PathLike, *, raw: RawLayout | None = None, series: str | None = None, irregular: str | None = None
-) -> Volume:
-    """Return a volume from its header alone; samples have the right shape and dtype, but are 0, and take no memory.
-
-    DICOM and TIFF are read as a whole, as each slice has a header of its own.
-    """
-    known = _read(path, raw, series, irregular, header_only=True)
-    return replace(known, samples=np.broadcast_to(np.zeros((), known.samples.dtype), known.samples.shape))
-
-
-def _read(
-    path: PathLike, layout: RawLayout | None, series: str | None, irregular: str | None, *, header_only: bool = False
-) -> Volume:
-    form = "raw" if layout is not None else _format(path)
+    form = "raw" if raw is not None else _format(path)
     if form == "raw":
-        return raw.read_dat(path) if layout is None and suffix_of(path) == ".dat" else raw.read(path, layout)
+        return voxels.read_dat(path) if raw is None and suffix_of(path) == ".dat" else voxels.read(path, raw)
     options = {"series": series, "irregular": irregular} if form == "DICOM" else {"header_only": header_only}
     return _module(form).read(path, **({} if form == "TIFF" else options))  # type: ignore[no-any-return]
+
+
+def outline_of(path: PathLike, **how: Any) -> Volume:
+    """Return a volume as `read` does, whose samples have the right shape and dtype, but are 0, and take no memory."""
+    known = read(path, header_only=True, **how)
+    return replace(known, samples=np.broadcast_to(np.zeros((), known.samples.dtype), known.samples.shape))
 
 
 def _module(form: str) -> Any:
@@ -155,8 +153,6 @@ def write(path: PathLike, samples: Array, like: Volume, *, force: bool = False) 
         Whether to replace an existing file.
     """
     check_target(path, like, samples.dtype, force=force)
-    if suffix_of(path):
-        check_output(path, force=force)
     if samples.shape != like.samples.shape:
         what = f"the samples are of {samples.shape}, and {like.name} is of {like.samples.shape}"
         raise unwritable(path, what, "make them alike")
@@ -166,10 +162,8 @@ def write(path: PathLike, samples: Array, like: Volume, *, force: bool = False) 
     module.write(path, samples if scaled else rescaled(samples, like.scaling), like, force=force)
 
 
-def info(
-    path: PathLike, *, raw: RawLayout | None = None, series: str | None = None, irregular: str | None = None
-) -> dict[str, object]:
-    """Return the facts on a volume.
+def info(path: PathLike, **how: Any) -> dict[str, object]:
+    """Return the facts on a volume, with the options of `read`.
 
     Returns
     -------
@@ -182,7 +176,7 @@ def info(
         are more than 2 GiB), and ``bytes`` (of the samples). For a folder with several series, if none is named:
         ``format`` and ``series``, each with ``number``, ``uid``, ``description`` and ``slices``.
     """
-    if raw is None and series is None and os.path.isdir(path):
+    if how.get("raw") is None and how.get("series") is None and os.path.isdir(path):
         from supple.media.volume import dicom
 
         found = dicom.listed(path)
@@ -192,7 +186,7 @@ def info(
                 for k, one in enumerate(found, 1)
             ]
             return {"format": "DICOM", "series": kinds}
-    volume = read(path, raw=raw, series=series, irregular=irregular)
+    volume = read(path, **how)
     samples, geometry = volume.samples, volume.geometry
     low, high, nans = _range(samples) if samples.nbytes <= _QUICK else (None, None, None)
     unit = {}
@@ -227,15 +221,8 @@ def info(
 
 
 def _range(samples: Array) -> tuple[float | None, float | None, int]:
-    """Return the least and the greatest number, slab by slab, and the count of NaNs."""
-    low, high, nans = np.inf, -np.inf, 0
-    for slab in samples:
-        known = slab
-        if samples.dtype.kind == "f" and (bad := np.isnan(slab)).any():
-            nans += int(bad.sum())
-            known = slab[~bad]
-        if known.size:
-            low, high = min(low, known.min()), max(high, known.max())
+    """Return the least and the greatest number, and the count of NaNs."""
+    nans = sum(int(np.isnan(slab).sum()) for slab in samples) if samples.dtype.kind == "f" else 0
     if nans == samples.size:
         return None, None, nans
-    return samples.dtype.type(low).item(), samples.dtype.type(high).item(), nans
+    return np.fmin.reduce(samples, axis=None).item(), np.fmax.reduce(samples, axis=None).item(), nans

@@ -180,7 +180,6 @@ def placed(path: PathLike, matrix: npt.ArrayLike, convention: str) -> Geometry:
         known[:2] *= -1
     with np.errstate(all="ignore"):
         spacing = np.sqrt((known[:3, :3] ** 2).sum(axis=0))
-        check_spacing(path, spacing.tolist())
         direction = known[:3, :3] / spacing
     return located(path, spacing.tolist(), known[:3, 3].tolist(), direction, convention)
 

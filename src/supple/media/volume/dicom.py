@@ -114,7 +114,7 @@ def listed(path: PathLike, *, nested: bool = True) -> list[Series]:
         told = ", ".join(f"{shown(Path(name).name)} ({kind})" for name, kind in beside[:3])
         more = f" and {len(beside) - 3} more" if len(beside) > 3 else ""
         text = f"{told}{more} in {shown(path)}: no images of a series, and left out"
-        warnings.warn(text, VolumeWarning, stacklevel=6)
+        warnings.warn(text, VolumeWarning, stacklevel=5)
     series: dict[str, list[tuple[str, Any]]] = {}
     for file, reader in images:
         series.setdefault(_tag(reader, _UID), []).append((file, reader))
@@ -326,7 +326,7 @@ def _resampled(volume: Volume, places: Array, step: float) -> Volume:
     gaps = np.diff(places)
     text = f"{len(places)} slices, {gaps.min():.4g} to {gaps.max():.4g} mm apart, are interpolated linearly"
     text = f"{text} at {count} places, {step:.4g} mm apart"
-    warnings.warn(f"{volume.name}: its {text}", VolumeWarning, stacklevel=7)
+    warnings.warn(f"{volume.name}: its {text}", VolumeWarning, stacklevel=6)
     return replace(volume, samples=samples, regridded=True, resampled=text)
 
 

@@ -185,18 +185,20 @@ def _samples(path: PathLike, shape: tuple[int, ...], dtype: np.dtype[Any], offse
     wanted = offset + dtype.itemsize * math.prod(shape)
     row = dtype.itemsize * (math.prod(shape[-2:]) if colours else shape[-1])
     with opened(path) as file:
-        if not isinstance(file, gzip.GzipFile):
-            found = os.stat(path).st_size
-            if found < wanted:
-                raise unreadable(path, f"its header promises {wanted} bytes, and it has {found}")
-            _check_rest(path, wanted, found - wanted, row)
-            return np.memmap(path, dtype, "r", offset, shape)
-        file.seek(offset)
-        samples, rest = filled(path, file, dtype, shape, offset), 0
-        while count := len(file.read(_CHUNK)):  # read to the end, where gzip verifies the checksum
-            rest += count
-        _check_rest(path, wanted, rest, row)
-        return samples
+        if isinstance(file, gzip.GzipFile):
+            file.seek(offset)
+            samples: Array = filled(path, file, dtype, shape, offset)
+            # read to the end, where gzip verifies the checksum
+            rest = sum(map(len, iter(lambda: file.read(_CHUNK), b"")))
+        else:
+            if (rest := os.stat(path).st_size - wanted) < 0:
+                raise unreadable(path, f"its header promises {wanted} bytes, and it has {wanted + rest}")
+            samples = np.memmap(path, dtype, "r", offset, shape)
+    # nibabel ignores data after the voxels (test_sizes_smaller_than_the_data): a row or more, and the sizes are wrong
+    if rest >= row:
+        told = f"its header promises {wanted} bytes, and it has {wanted + rest}"
+        raise unreadable(path, told, "correct the sizes in its header")
+    return samples
 
 
 def filled(path: PathLike, file: IO[bytes], dtype: np.dtype[Any], shape: Sequence[int], offset: int) -> Array:
@@ -214,21 +216,12 @@ def filled(path: PathLike, file: IO[bytes], dtype: np.dtype[Any], shape: Sequenc
     return samples
 
 
-# nibabel ignores data after the voxels (test_sizes_smaller_than_the_data).
-def _check_rest(path: PathLike, wanted: int, rest: int, row: int) -> None:
-    """Raise SuppleError for a row or more after the voxels: the sizes in the header are wrong."""
-    if rest >= row:
-        told = f"its header promises {wanted} bytes, and it has {wanted + rest}"
-        raise unreadable(path, told, "correct the sizes in its header")
-
-
 def _geometry(path: PathLike, first: Path, header: Any, sizes: tuple[int, ...], unit: float) -> Geometry:
     """Return the geometry of the voxels: by the sform or the qform, or by the spacing alone."""
     sform = np.array(header.get_sform(), np.float64) if header["sform_code"] > 0 else None
     qform = _qform(path, header, needed=sform is None) if header["qform_code"] > 0 else None
     steps = [unit * float(x) for x in header["pixdim"][1:4]]
     if sform is None and qform is None:
-        check_spacing(path, steps)
         return located(path, steps, [0.0] * 3, np.eye(3), "array")
     known, text = sform if sform is not None else qform, ""
     assert known is not None
@@ -266,7 +259,7 @@ def _geometry(path: PathLike, first: Path, header: Any, sizes: tuple[int, ...], 
                 f"the qform and the sform of {name} disagree, by up to {far:.3g} mm: the {used} is used, as by {others}"
             )
     if text:
-        warnings.warn(text, VolumeWarning, stacklevel=6)
+        warnings.warn(text, VolumeWarning, stacklevel=5)
     return geometry
 
 

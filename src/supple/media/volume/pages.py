@@ -43,12 +43,11 @@ def has_pages(path: PathLike) -> bool:
     return form == "TIFF" and count > 1
 
 
-def place(path: PathLike) -> Geometry:
+def place(path: PathLike, file: Any) -> Geometry:
     """Return the geometry of a stack, its spacing alone, from the description of ImageJ or OME; errors as in `read`."""
     from supple.media.image.vips import opened
 
-    image, _ = opened(path)
-    return Geometry(_spacing(image, _description(image)))
+    return Geometry(_spacing(opened(path)[0], _description(file)))
 
 
 def read(path: PathLike) -> Volume:
@@ -73,7 +72,7 @@ def read(path: PathLike) -> Volume:
         sizes = {name: int(series.shape[k]) for k, name in axes.items() if series.axes[k] not in "SYX"}
         kind: str = series.kind
         own = [int(getattr(page, "index", -1)) for page in series.pages if page is None or page.parent is file]
-    description, letters = _description(image), "".join(sizes)
+        description, letters = _description(file), "".join(sizes)
     promised = math.prod(sizes.values())
     if kind == "imagej" and promised == count:
         promised = int(description.get("images", count))
@@ -100,7 +99,7 @@ def read(path: PathLike) -> Volume:
         samples = np.expand_dims(samples, "t" in letters)
     if "x" in description and "z" not in description and sizes.get("z", 1) > 1:
         what = f"{shown(path)} does not tell how far its slices are apart (PhysicalSizeZ): as far as its columns"
-        warnings.warn(what, VolumeWarning, stacklevel=4)
+        warnings.warn(what, VolumeWarning, stacklevel=3)
     interval = description.get("finterval", 0.0)
     return Volume(
         native(samples),
@@ -179,23 +178,17 @@ def _heard(path: PathLike) -> Iterator[None]:
         warnings.warn(f"{shown(path)} is read, but tifffile says: {text}", VolumeWarning, stacklevel=7)
 
 
-def _description(image: Any) -> dict[str, float]:
+def _description(file: Any) -> dict[str, float]:
     """Return the numbers in ImageJ's description, and its unit in millimetres as ``unit``; or those of an OME-TIFF.
 
     For OME-TIFF, the spacing is ``x``, ``y`` and ``z`` in millimetres, and ``finterval`` is in seconds.
     """
-    text = image.get("image-description") if image.get_typeof("image-description") else ""
-    if "<OME" in text[:1000]:
-        return _of_ome(text)
-    if not text.startswith("ImageJ="):
+    if file.is_ome:
+        return _of_ome(file.ome_metadata)
+    if (known := file.imagej_metadata) is None:
         return {}
-    pairs = dict(line.strip().partition("=")[::2] for line in text.splitlines())
-    numbers = {"unit": MILLIMETRES.get(pairs.pop("unit", "").lower(), 1.0)}
-    for key, value in pairs.items():
-        with contextlib.suppress(ValueError):
-            if np.isfinite(number := float(value)):
-                numbers[key] = number
-    return numbers
+    numbers = {key: value for key, value in known.items() if isinstance(value, int | float) and np.isfinite(value)}
+    return {**numbers, "unit": MILLIMETRES.get(str(known.get("unit", "")).lower(), 1.0)}
 
 
 def _of_ome(text: str) -> dict[str, float]:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from supple.media.base import Clip
+from supple.media.clips import Clip
 from supple.media.image import Picture
 from supple.media.image.display import in_srgb
 
