@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from functools import lru_cache
 from typing import Any
 
@@ -237,7 +237,8 @@ def strokes(
             start, end, starts, ends = place(point), place(where), there(point), there(where)
             if start is not None and end is not None and (starts or ends or selected):
                 if starts and ends:
-                    track(lines, (start, *map(place, stroke.path), end), colour)
+                    way = [at for at in (start, *map(place, stroke.path), end) if at is not None]
+                    theme.outlined_way(lines, way, colour, 1.5)
                 if starts:
                     lines.add_circle_filled(start, 3.0, colour)
                 else:
@@ -245,15 +246,13 @@ def strokes(
                 if not ends:
                     lines.add_circle(end, 3.0, theme.DIM, 0, 1.5)
                 elif stroke.brush == "grab":
-                    end_of(lines, end, colour, None if wanted is None else place(wanted))
+                    lines.add_circle(end, 5.0, colour, 0, 2.0)
+                    if wanted is not None and (target := place(wanted)) is not None:
+                        lines.add_line(end, target, theme.RED, 1.5)
+                        lines.add_circle(target, 4.0, theme.RED, 0, 1.5)
                 if selected:
                     ball(start, point, stroke.radius)
             wanted = None  # only the first one's is known
-
-
-def track(lines: imgui.ImDrawList, places: Iterable[Pair | None], colour: int) -> None:
-    """Draw the way of a point, where it is seen."""
-    theme.outlined_way(lines, [place for place in places if place is not None], colour, 1.5)
 
 
 def mirror(lines: imgui.ImDrawList, grip: Pair, top: float, height: float, tilt: Pair | None = None) -> None:
@@ -266,14 +265,6 @@ def mirror(lines: imgui.ImDrawList, grip: Pair, top: float, height: float, tilt:
     for at in (grip, tilt):
         if at is not None:
             knob(lines, at, theme.BLUE)
-
-
-def end_of(lines: imgui.ImDrawList, end: Pair, colour: int, wanted: Pair | None) -> None:
-    """Draw the end of a stroke, and its target, if they differ."""
-    lines.add_circle(end, 5.0, colour, 0, 2.0)
-    if wanted is not None:
-        lines.add_line(end, wanted, theme.RED, 1.5)
-        lines.add_circle(wanted, 4.0, theme.RED, 0, 1.5)
 
 
 def _rendering(view: View, tools: VolumeTools, lines: imgui.ImDrawList, place: Place) -> None:
