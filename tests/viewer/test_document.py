@@ -161,20 +161,9 @@ class TestRefusals:
         before, revision, deformation = d.state, d.revision, d.deformation
         solid = Stroke(at=(1, 2, 3), by=(1, 1, 1), radius=9)
         acts: list[Any] = [
-            lambda: d.replace(1, stroke()),
-            lambda: d.replace(-1, stroke()),
-            lambda: d.remove(1),
-            lambda: d.hide(True),
-            lambda: d.move(0, 1),
-            lambda: d.select(7),
-            lambda: d.arrival(1),
             lambda: d.set_rest(border=-1),
             lambda: d.set_rest(on_fold="tear"),  # type: ignore[arg-type]
             lambda: d.add(solid),
-            lambda: d.add("stroke"),  # type: ignore[arg-type]
-            lambda: d.load("recipe"),  # type: ignore[arg-type]
-            lambda: d.load({"strokes": []}),  # type: ignore[arg-type]
-            lambda: Document(SHAPE, recipe="strokes.json"),  # type: ignore[arg-type]
             lambda: d.load(Recipe(strokes=(solid,))),
             lambda: d.load(Recipe(strokes=(replace(stroke(), keys=(Key(3, strength=0),)),))),
         ]

@@ -58,9 +58,6 @@ def test_any_step_is_one_way_from_any_other() -> None:
     d.go(2)
     assert heard == [1, 3, 0, 2]  # those between are not shown
     assert (d.can_undo, d.can_redo) == (True, True)
-    for wrong in (-1, 4, "a"):
-        with pytest.raises(SuppleError, match="one of 4, from 0 to 3"):
-            d.go(wrong)  # type: ignore[arg-type]
     d.begin_drag()
     with pytest.raises(SuppleError, match="a drag is under way"):
         d.go(0)
@@ -134,6 +131,3 @@ def test_any_step_is_compared_with_whatever_happens_to_it() -> None:
     d.compare(None)
     assert d.base.is_identity
     assert d.compared is None
-    for wrong in (-1, 2, 1.5):
-        with pytest.raises(SuppleError, match="a step must be one of 2, from 0 to 1"):
-            d.compare(wrong)  # type: ignore[arg-type]

@@ -18,13 +18,14 @@ import numpy as np
 import pytest
 
 import supple
-from supple.errors import ScaleWarning
+from supple.errors import ScaleWarning, SuppleError
 from supple.files.options import ClipOptions, VolumeOptions
 from supple.files.volumes import deformation_of
 from supple.gpu.device import Gpu
 from supple.media import image, video, volume
 from supple.media.volume import RawLayout
 from supple.strokes import Recipe, Stroke
+from supple.viewer.window import launch
 from tests.clips import decoded, make, rows
 from tests.viewer.sessions import near
 from tests.viewer.windows import DATA, Hand, beside, opened, small_photo, viewing, wait_for
@@ -416,3 +417,8 @@ def test_keys_are_listed_over_the_picture(gpu: Gpu) -> None:
     view.refresh()
     hand.canvas.draw()
     assert np.abs(hand.canvas.draw().astype(int) - bare)[200:400, 150:550].max() <= 2
+
+
+def test_a_recipe_is_no_name_of_a_file(photo: Path) -> None:
+    with pytest.raises(SuppleError, match="recipe must be a Recipe"):
+        launch.opened(photo, "strokes.json", None, None)  # type: ignore[arg-type]

@@ -231,7 +231,7 @@ def seen_through(
     if projection != "none":
         black, white = window if density is not None else values
         shades = np.clip((places - black) / ((white - black) or 1.0), 0.0, 1.0)
-        grey, opaque = linear_light(np.stack([shades] * 3, axis=1), 1.0), np.ones((ENTRIES, 1))
+        grey, opaque = linear_light(np.stack([shades] * 3, axis=1)), np.ones((ENTRIES, 1))
         if projection == "maximum":
             opaque = np.clip(shades / DARK - 1, 0, 1)[:, None]
         table = np.concatenate([opaque * grey, opaque], axis=1).astype(np.float32)
@@ -367,24 +367,20 @@ def prepared(given: Array) -> Array:
 
     SuppleError if the squares of their gradients overflow float32.
     """
-    if given.dtype.itemsize > 2:
-        ends = np.array([given.min(), given.max()], np.float64)
-        if not np.isfinite(ends).all():
-            finite = np.isfinite(given)
-            ends = np.array([given.min(where=finite, initial=np.inf), given.max(where=finite, initial=-np.inf)])
-            ends = np.where(np.isfinite(ends), ends, 0.0).astype(np.float64)
-        most = float(ends[np.abs(ends).argmax()])
+    whole, low, high = True, 0.0, 0.0
+    if given.dtype.itemsize > 2 or given.dtype.kind == "f":
+        low, high = float(given.min()), float(given.max())
+        if not (whole := math.isfinite(low) and math.isfinite(high)):
+            finite = given[np.isfinite(given)]
+            low, high = (float(finite.min()), float(finite.max())) if finite.size else (0.0, 0.0)
+        most = max(low, high, key=abs)
         if abs(most) > MOST:
             refuse("samples", f"values from {-MOST:g} to {MOST:g} to be seen (divide larger ones)", float(f"{most:g}"))
     if given.dtype.newbyteorder("=") not in _TYPES:
         with np.errstate(over="ignore"):
             given = given.astype(np.float32)
     ready = np.require(given, given.dtype.newbyteorder("="), ["C", "ALIGNED"])
-    if ready.dtype.kind == "f" and not np.isfinite(ready).all():
-        finite = ready[np.isfinite(ready)]
-        bottom, top = (finite.min(), finite.max()) if finite.size else (0.0, 0.0)
-        ready = np.nan_to_num(ready, nan=bottom, neginf=bottom, posinf=top)
-    return widened(ready)
+    return widened(ready if whole else np.nan_to_num(ready, nan=low, neginf=low, posinf=high))
 
 
 def thinned(samples: Array, coarse: int) -> Array:

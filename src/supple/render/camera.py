@@ -8,7 +8,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from supple.space.checks import integer, number, point, refuse
 from supple.space.geometry import Floats, Geometry
@@ -86,16 +85,10 @@ class Projection:
         """The unit direction of view along the volume's axes."""
         return np.asarray(self.packed[2], np.float64)
 
-    def middle(self, xs: npt.ArrayLike, ys: npt.ArrayLike) -> Floats:
-        """Return pixel positions relative to the centre of the image, (N, 2)."""
-        height, width = self.size
-        return np.stack(
-            [np.asarray(xs, np.float64) - (width - 1) / 2, np.asarray(ys, np.float64) - (height - 1) / 2], -1
-        )
-
     def direction(self, x: float, y: float) -> Floats:
         """Return the unit direction of a pixel's ray along the volume's axes."""
-        made = self.packed[2:].T @ np.array([1.0, *self.middle([x], [y])[0]])
+        height, width = self.size
+        made = self.packed[2:].T @ np.array([1.0, x - (width - 1) / 2, y - (height - 1) / 2])
         return np.asarray(made / np.linalg.norm(made), np.float64)
 
 

@@ -82,7 +82,7 @@ class LabelColours:
         """Return linear red, green and blue, and the opacity of a step in millimetres, of labels: (N, 4)."""
         seen = self.of(labels)
         opacity = 1 - (1 - seen[:, 3:]) ** step
-        return np.ascontiguousarray(np.concatenate([linear_light(seen[:, :3], 1.0), opacity], axis=1), np.float32)
+        return np.ascontiguousarray(np.concatenate([linear_light(seen[:, :3]), opacity], axis=1), np.float32)
 
     def to_ctbl(self, labels: npt.ArrayLike) -> str:
         """Return the text of a colour table of 3D Slicer (``.ctbl``) for labels, for `from_text`."""

@@ -14,11 +14,10 @@ from supple.space.geometry import Floats
 _WEIGHTS = np.array([0.2126, 0.7152, 0.0722])  # of BT.709
 
 
-def linear_light(values: npt.ArrayLike, white: float = 1.0) -> npt.NDArray[np.floating]:
-    """Return sRGB values in linear light; ``white`` is unchanged."""
-    u = np.asarray(values) / white
-    with np.errstate(invalid="ignore"):
-        return np.asarray(white * np.where(u <= 0.04045, u / 12.92, ((u + 0.055) / 1.055) ** 2.4))
+def linear_light(values: npt.ArrayLike) -> Floats:
+    """Return sRGB values, from 0 to 1, in linear light."""
+    u = np.asarray(values, np.float64)
+    return np.asarray(np.where(u <= 0.04045, u / 12.92, ((u + 0.055) / 1.055) ** 2.4))
 
 
 def srgb_of(linear: npt.ArrayLike) -> npt.NDArray[np.floating]:

@@ -75,7 +75,7 @@ class TransferFunction:
         values = np.linspace(low, high, ENTRIES)
         known = np.array(self.absolute(low, high).points)
         seen = np.stack([np.interp(values, known[:, 0], known[:, c]) for c in range(1, 5)], axis=1)
-        linear = linear_light(seen[:, :3], 1.0)
+        linear = linear_light(seen[:, :3])
         opacity = 1 - (1 - seen[:, 3]) ** (step / self.unit)
         return np.ascontiguousarray(np.concatenate([linear, opacity[:, None]], axis=1), np.float32)
 

@@ -18,11 +18,11 @@ Ear = Callable[[str, type[Warning]], None]
 
 _lock = threading.RLock()
 _ears: list[tuple[int, Ear]] = []  # threads and their listeners
-_outside: list[contextlib.ExitStack] = []  # restores the handlers after the last listener
+_outside = contextlib.ExitStack()  # restores the handlers after the last listener
 
 
 @contextlib.contextmanager
-def heard(tell: Ear) -> Iterator[None]:
+def heard(tell: Ear = lambda text, kind: None) -> Iterator[None]:
     """Pass the warnings of this thread, and of threads that work for it, to a function instead of printing them.
 
     `warnings.catch_warnings` is not safe with several threads. A warning of a thread without a listener goes to the
@@ -32,7 +32,8 @@ def heard(tell: Ear) -> Iterator[None]:
     mine = (threading.get_ident(), tell)
     with _lock:
         if not _ears:
-            _listen()
+            _outside.enter_context(warnings.catch_warnings(action="always"))
+            warnings.showwarning = partial(_show, warnings.showwarning)
         _ears.append(mine)
     try:
         yield
@@ -40,28 +41,20 @@ def heard(tell: Ear) -> Iterator[None]:
         with _lock:
             _ears.remove(mine)
             if not _ears:
-                _outside.pop().close()
+                _outside.close()
 
 
-def _listen() -> None:
-    stack = contextlib.ExitStack()
-    stack.enter_context(warnings.catch_warnings())
-    before, main = warnings.showwarning, threading.main_thread().ident
-
-    def show(message: Warning | str, category: type[Warning], *place: Any, **more: Any) -> None:
-        thread = threading.get_ident()
-        with _lock:
-            own = [ear for ident, ear in _ears if ident == thread]
-            others = [ear for ident, ear in _ears if ident != main] if thread != main else []
-        ear = next(reversed(own or others), None)
-        if ear is None:
-            before(message, category, *place, **more)
-        else:
-            ear(str(message), category)
-
-    warnings.simplefilter("always")
-    warnings.showwarning = show
-    _outside.append(stack)
+def _show(
+    before: Callable[..., None], message: Warning | str, category: type[Warning], *place: Any, **more: Any
+) -> None:
+    thread, main = threading.get_ident(), threading.main_thread().ident
+    with _lock:
+        own = [ear for ident, ear in _ears if ident == thread]
+        others = [ear for ident, ear in _ears if ident != main] if thread != main else []
+    if own or others:
+        (own or others)[-1](str(message), category)
+    else:
+        before(message, category, *place, **more)
 
 
 class Certifier:
@@ -84,7 +77,7 @@ class Certifier:
         return self._report if asked == self._asked else None
 
     def _measure(self, deformation: Deformation, plane: int | None) -> None:
-        with contextlib.suppress(SuppleError), heard(lambda text, kind: None):
+        with contextlib.suppress(SuppleError), heard():
             self._report = deformation.report(plane=plane)
         self._busy = False
         self._on_report()

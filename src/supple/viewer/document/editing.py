@@ -15,7 +15,7 @@ from supple.errors import SuppleError
 from supple.files.clips import parts_of, with_ends
 from supple.files.volumes import indexed, placed
 from supple.folding.limits import NEAR
-from supple.space.checks import integer, refuse
+from supple.space.checks import integer
 from supple.space.domain import Domain
 from supple.space.freezing import Freeze
 from supple.space.geometry import Geometry
@@ -353,22 +353,22 @@ class Document:
     def add(self, stroke: Stroke) -> int:
         """Append a stroke, and select it; return its index."""
         count = len(self.strokes)
-        strokes = (*self.strokes, _checked_stroke(stroke))
+        strokes = (*self.strokes, stroke)
         self._edit(replace(self.state, strokes=strokes, selected=count, made_by=words.drawn((stroke,))))
         return count
 
     def replace(self, i: int, stroke: Stroke) -> None:
         """Replace a stroke; its hidden state is kept."""
-        self._edit(self._replaced(self.state, self._checked(i), stroke))
+        self._edit(self._replaced(self.state, i, stroke))
 
     def change(self, i: int, then: Stroke) -> None:
         """Edit a stroke, which becomes ``then`` in the frame shown; see `edited`."""
-        stroke = self.strokes[self._checked(i)]
+        stroke = self.strokes[i]
         self.replace(i, edited(stroke, stroke.at_frame(self.frame), then, self.frame))
 
     def remove(self, i: int) -> None:
         """Remove a stroke."""
-        i, selected = self._checked(i), self.selected
+        selected = self.selected
         if selected is not None and selected >= i:
             selected = None if selected == i else selected - 1
         strokes, done = (*self.strokes[:i], *self.strokes[i + 1 :]), f"Remove stroke {i + 1}"
@@ -377,14 +377,13 @@ class Document:
     def move(self, i: int, to: int) -> None:
         """Move a stroke to another index, so that it is applied earlier or later."""
         order = list(range(len(self.strokes)))
-        order.insert(self._checked(to), order.pop(self._checked(i)))
+        order.insert(to, order.pop(i))
         selected = None if self.selected is None else order.index(self.selected)
         done = f"Move stroke {i + 1} {'later' if to > i else 'earlier'}"
         self._edit(replace(self.state, strokes=tuple(self.strokes[k] for k in order), selected=selected, made_by=done))
 
     def hide(self, i: int, hidden: bool = True) -> None:
         """Hide a stroke, or show it."""
-        i = self._checked(i)
         self._edit(self.state.with_stroke(i, replace(self.strokes[i], hidden=bool(hidden))))
 
     def set_rest(self, **options: Any) -> None:
@@ -454,8 +453,6 @@ class Document:
 
     def fitted(self, recipe: Recipe) -> Recipe:
         """Return a recipe in samples of this medium, scaled if its size differs; SuppleError if it does not fit."""
-        if not isinstance(recipe, Recipe):
-            refuse("a recipe", "a Recipe, as Recipe.from_json reads one", recipe)
         timed = self._is_timed(recipe)
         shape = self._shape(timed)
         count = len(shape)
@@ -492,7 +489,7 @@ class Document:
     def select(self, i: int | None) -> None:
         """Select a stroke, or none, without an undo step."""
         self._rest()
-        state = replace(self.state, selected=None if i is None else self._checked(i))
+        state = replace(self.state, selected=i)
         if state != self.state:
             self.steps = (*self.steps[: self.step], state, *self.steps[self.step + 1 :])
             self._show(replace(self._now, state=state))
@@ -510,8 +507,6 @@ class Document:
     def go(self, step: int) -> None:
         """Undo or redo as many steps as lead to one of `steps`."""
         self._rest()
-        count = len(self.steps)
-        step = integer("a step", step, f"one of {count}, from 0 to {count - 1}", 0, count - 1)
         if step != self.step:
             made, self.step = self._solved(self.steps[step], self._now), step
             self._show(made)
@@ -541,8 +536,7 @@ class Document:
         if step is None:
             self._base = None
         else:
-            count = len(self.steps)
-            state = self.steps[integer("a step", step, f"one of {count}, from 0 to {count - 1}", 0, count - 1)]
+            state = self.steps[step]
             self._base = state, self._solved(state, self._now).chain[-1]
         self._tell()
 
@@ -566,7 +560,7 @@ class Document:
     def begin_drag(self, i: int | None = None) -> None:
         """Begin a drag, of a new stroke or of one of the list. Until it ends, other edits are refused."""
         self._rest()
-        self._drag = (self._now, None if i is None else self._checked(i))
+        self._drag = self._now, i
         self.trouble = None
 
     def preview(self, *strokes: Stroke, select: bool = True, whole: bool = False) -> bool:
@@ -700,22 +694,10 @@ class Document:
             raise SuppleError("no drag is under way: begin one first")
         return self._drag
 
-    def _checked(self, i: int) -> int:
-        count = len(self.strokes)
-        wanted = f"one of {count}, from 0 to {count - 1}" if count else "none, as there are no strokes"
-        return integer("a stroke's number", i, wanted, 0, count - 1)
-
     def _nth(self, i: int) -> int | None:
         """Return the index of an item among the visible strokes."""
-        i = self._checked(i)
         return None if self.strokes[i].hidden else i - sum(map(_HIDDEN, self.strokes[:i]))
 
     @staticmethod
     def _replaced(state: State, i: int, stroke: Stroke) -> State:
-        return state.with_stroke(i, replace(_checked_stroke(stroke), hidden=state.strokes[i].hidden))
-
-
-def _checked_stroke(stroke: Stroke) -> Stroke:
-    if not isinstance(stroke, Stroke):
-        refuse("a stroke", "a Stroke", stroke)
-    return stroke
+        return state.with_stroke(i, replace(stroke, hidden=state.strokes[i].hidden))

@@ -618,7 +618,7 @@ class VolumeStage:
         return known[1]
 
     def _solved(self, plain: Scene, deformation: Deformation) -> tuple[Deformation, Scene]:
-        with heard(lambda text, kind: None):
+        with heard():
             return deformation, plain.deformed(deformation)
 
     @property
@@ -688,7 +688,7 @@ class VolumeStage:
                 scene.draw(texture, camera, (rows, columns), background=BACK)
                 return
         pixels, begun = np.full((rows, columns, 4), 255, np.uint8), time.perf_counter()
-        with heard(lambda text, kind: None):
+        with heard():
             pixels[..., :3] = scene.render(camera, (rows, columns)).pixels(BACK)
         filled(self._gpu, texture, pixels)
         self.drawn_in = time.perf_counter() - begun

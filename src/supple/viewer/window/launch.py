@@ -29,7 +29,7 @@ from supple.media import medium
 from supple.media.image import Picture, read
 from supple.media.volume import Volume
 from supple.render.camera import Camera
-from supple.space.checks import integer, length, point
+from supple.space.checks import integer, length, point, refuse
 from supple.space.geometry import Geometry, Grid
 from supple.strokes import Recipe, fit_recipe
 from supple.viewer.document.editing import Document
@@ -168,10 +168,13 @@ def opened(
     """
     with _installed():
         from supple.viewer.window.window import Window
+    given: object = recipe or Recipe()
+    if not isinstance(given, Recipe):
+        refuse("recipe", "a Recipe, as Recipe.from_json reads one", recipe)
     _exists(source)  # before the GPU, which may be missing, too
     gpu = gpu or _gpu()
     stage = stage_of(gpu, source, options)
-    recipe, geometry = recipe or Recipe(), None
+    recipe, geometry = given, None
     if isinstance(stage, VolumeStage):
         geometry = stage.volume.geometry
         recipe = in_space(recipe, geometry, stage.name, options.volume.world)
