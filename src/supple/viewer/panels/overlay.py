@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from functools import lru_cache
 from typing import Any
 
@@ -34,7 +34,7 @@ from supple.viewer.tools.volumes import VolumeTools
 _LETTERS = 0xF0FFFFFF  # ABGR
 _PLANES = (0xFF6478F0, 0xFF78C86C, 0xFF50C8E8)  # red, green and yellow, as elsewhere for these three
 _INSET = 8.0  # logical pixels from a view's edge to its text
-_GAP = 7.0  # logical pixels on each side of the crosshair's middle that lines leave free
+_GAP = 3.0  # logical pixels around a letter that lines leave free
 _NAMED = 30.0  # logical pixels from a view's upper edge to the names of before and after, below the plane's name
 _BAR = (0.28, 30.0)  # the largest part of a view's width, and the least logical pixels, of a scale bar
 _DASH = 14.0  # logical pixels from one dash to the next
@@ -140,9 +140,11 @@ def _plane(view: View, tools: VolumeTools, lines: imgui.ImDrawList, k: int) -> N
     if tools.mask is not None and not tools.original and not fixed and pane.upright is None:
         axes, index = (pane.plane.axis, pane.plane.across, pane.plane.down), pane.index[pane.plane.axis]
         view.veil.draw(lines, tools.mask, tools.sizes, pane.to_canvas, theme.packed(view.veil_colour), axes, index)
+    sides = list(zip(pane.plane.sides, ((0, 0.5), (1, 0.5), (0.5, 0), (0.5, 1)), strict=True))
+    letters = [_letter(pane.place, side, *at) for side, at in sides]
     if not fixed and pane.upright is None:
         _cut(view, lines, pane)
-    _crosshair(tools, lines, pane)
+    _crosshair(tools, lines, pane, letters)
     if (grip := tools.grip_of(k)) is not None:
         mirror(lines, grip, top, height)
 
@@ -154,9 +156,8 @@ def _plane(view: View, tools: VolumeTools, lines: imgui.ImDrawList, k: int) -> N
     if not fixed:
         strokes(view, lines, pane.to_canvas, pane.crosses, ball)
     landmarks.draw(view, lines, pane.to_canvas, _text, pane, k)
-    for side, (across, down) in zip(pane.plane.sides, ((0, 0.5), (1, 0.5), (0.5, 0), (0.5, 1)), strict=True):
-        at = left + _INSET + across * (width - 2 * _INSET), top + _INSET + down * (height - 2 * _INSET)
-        _text(lines, at, side, align=(across, down))
+    for (side, _), (a, b, _, _) in zip(sides, letters, strict=True):
+        _text(lines, (a + _GAP, b + _GAP), side)
     axis, name = pane.plane.axis, f"{pane.plane.name}, fixed" if fixed else pane.plane.name
     _text(lines, (left + _INSET, top + _INSET), name, _PLANES[k % FIXED])
     wide = imgui.calc_text_size(name).x
@@ -179,6 +180,14 @@ def _plane(view: View, tools: VolumeTools, lines: imgui.ImDrawList, k: int) -> N
         _text(lines, (left + width - _INSET, top + height - _INSET), said, theme.GREY, (1.0, 1.0))
 
 
+def _letter(place: Place, side: str, across: float, down: float) -> Place:
+    """Return the box of the letter of a side of a view, by its place in fractions: left, top, right and bottom."""
+    (left, top, width, height), size = place, imgui.calc_text_size(side)
+    x = round(left + _INSET + across * (width - 2 * _INSET - size.x))
+    y = round(top + _INSET + down * (height - 2 * _INSET - size.y))
+    return x - _GAP, y - _GAP, x + size.x + _GAP, y + size.y + _GAP
+
+
 def _lies(tools: VolumeTools, pane: Pane) -> tuple[str, str]:
     """Return a plane's position on the patient's axis that it crosses, such as S 12 mm, and its tilt, in words."""
     geometry = tools.geometry
@@ -190,15 +199,29 @@ def _lies(tools: VolumeTools, pane: Pane) -> tuple[str, str]:
     return f"{SIDES[row][place < 0]} {abs(place):.1f} mm", slant
 
 
-def _crosshair(tools: VolumeTools, lines: imgui.ImDrawList, pane: Pane) -> None:
-    """Draw the other two planes as lines, with a gap about the voxel where they cross."""
+def _crosshair(tools: VolumeTools, lines: imgui.ImDrawList, pane: Pane, letters: Iterable[Place]) -> None:
+    """Draw the other two planes as lines, with gaps about the voxel where they cross, and where letters are."""
     (left, top, width, height), (x, y) = pane.place, pane.placed(pane.index)
     normal = {plane.axis: _PLANES[k] & 0xB0FFFFFF for k, plane in enumerate(tools.planes)}
-    upright, level = normal[pane.plane.across], normal[pane.plane.down]
-    for end, way in ((left, -_GAP), (left + width, _GAP)):
-        lines.add_line((end, y), (x + way, y), level, 1.0)
-    for end, way in ((top, -_GAP), (top + height, _GAP)):
-        lines.add_line((x, end), (x, y + way), upright, 1.0)
+    upright, level, gap, edge = normal[pane.plane.across], normal[pane.plane.down], 7.0, _INSET
+    wide, high = [(x - gap, x + gap)], [(y - gap, y + gap)]
+    for a, b, c, d in letters:
+        wide += [(a - edge, c + edge)] if b <= y <= d else []
+        high += [(b - edge, d + edge)] if a <= x <= c else []
+    for a, b in _between(left, left + width, wide):
+        lines.add_line((a, y), (b, y), level, 1.0)
+    for a, b in _between(top, top + height, high):
+        lines.add_line((x, a), (x, b), upright, 1.0)
+
+
+def _between(low: float, high: float, gaps: list[Pair]) -> Iterator[Pair]:
+    """Yield the parts of an interval that are in no gap."""
+    for a, b in sorted(gaps):
+        if low < min(a, high):
+            yield low, min(a, high)
+        low = max(low, b)
+    if low < high:
+        yield low, high
 
 
 def _cut(view: View, lines: imgui.ImDrawList, pane: Pane) -> None:
