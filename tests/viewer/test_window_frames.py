@@ -19,6 +19,7 @@ from supple.strokes import Recipe, Stroke
 from supple.viewer.panels import stages
 from supple.viewer.panels import view as views
 from supple.viewer.panels.view import TOP
+from supple.viewer.window import window
 from tests.clips import make
 from tests.viewer.windows import Hand, in_pixels, opened, small_photo, wait_for
 
@@ -331,10 +332,11 @@ def test_a_gif_that_moves_is_a_clip_at_its_own_times(gpu: Gpu, tmp_path: Path) -
     assert still.stage.kind == "image"
 
 
-def test_controls_follow_a_drag_in_each_fourth_frame_and_marks_at_once(
+def test_controls_follow_a_drag_a_few_times_a_second_and_marks_at_once(
     gpu: Gpu, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(views, "SETTLED", 1e9)  # the pointer never rests
+    monkeypatch.setattr(window, "FOLLOWED", 1e9)
     view, hand = opened(small_photo(tmp_path))
     laid: list[str] = []
     for name in ("_controls", "_marks"):
@@ -344,8 +346,7 @@ def test_controls_follow_a_drag_in_each_fourth_frame_and_marks_at_once(
     hand.move(200, 200)
     hand.press(200, 200)
     hand.move(205, 200, 1)
-    while "_controls" not in laid[-2:]:
-        before = hand.canvas.draw()
+    before = hand.canvas.draw()
     laid.clear()
     for k in range(3):
         hand.move(210 + 5 * k, 200, 1)
@@ -354,8 +355,13 @@ def test_controls_follow_a_drag_in_each_fourth_frame_and_marks_at_once(
     width = int(view.area[0])
     np.testing.assert_array_equal(after[:, width:], before[:, width:])  # the panel is still there
     assert (after[:, :width] != before[:, :width]).any()
-    for work in (lambda: None, lambda: monkeypatch.setattr(views, "SETTLED", -1.0), lambda: hand.release(220, 200)):
-        work()
-        laid.clear()
-        hand.canvas.draw()
-        assert sorted(laid) == ["_controls", "_marks"]
+    for module, name, seconds in ((window, "FOLLOWED", 0.0), (views, "SETTLED", -1.0)):
+        with monkeypatch.context() as now:
+            now.setattr(module, name, seconds)
+            laid.clear()
+            hand.canvas.draw()
+            assert sorted(laid) == ["_controls", "_marks"]
+    hand.release(220, 200)
+    laid.clear()
+    hand.canvas.draw()
+    assert sorted(laid) == ["_controls", "_marks"]
