@@ -108,8 +108,8 @@ import importlib, sys
 import numpy as np
 names = sys.argv[1:]
 modules = [importlib.import_module(f"supple._core.{name}") for name in names]
-rows, axes = np.zeros((0, 20)), np.array([[0, 40.0, -1, 1, 0], [0, 30.0, -1, 1, 0], [0, 0.0, 0, 1, 0]])
-plans = [m.Plan(rows, axes, 2, 31, 41, 0.0, 0.01) for m in modules]
+rows, axes = np.zeros((0, 39)), np.array([[0, 40.0, -1, 1, 0], [0, 30.0, -1, 1, 0], [0, 0.0, 0, 1, 0]])
+plans = [m.Plan(m.Map(rows, axes, 2), 31, 41, 0.0, 0.01) for m in modules]
 assert len({type(p) for p in plans}) == len(names)
 for m, p in zip(modules, plans):
     out = np.empty((31, 41, 2))
