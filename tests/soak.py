@@ -222,7 +222,7 @@ def look_at_many(d: Deformation, rng: np.random.Generator, tally: Tally, many: i
         q = rng.random((min(CHUNK, many - start), 3))
         q *= 1.2 * extent
         q -= 0.1 * extent
-        p, residual, _ = _core.inverse(rows, d.space.axes, q, d.ndim, 1e-9 * finest)
+        p, residual, _ = _core.inverse(d.space.map, q, 1e-9 * finest)
         moved, jacobian = _core.forward(rows, d.space.axes, p, True)
         moved -= q
         off = np.sqrt(np.einsum("ij,ij->i", moved, moved)) / finest

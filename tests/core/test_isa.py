@@ -35,7 +35,7 @@ for shape in ((70, 90), (6, 40, 50)):
     rows, q = numbers(d.space.table), np.zeros((501, 3))
     q[:, :n] = rng.uniform(-5, 60, (501, n))
     made[f"moved {n}"], made[f"slopes {n}"] = _core.forward(rows, d.space.axes, q, True)
-    made[f"points {n}"], made[f"residual {n}"], _ = _core.inverse(rows, d.space.axes, q, n, 1e-9)
+    made[f"points {n}"], made[f"residual {n}"], _ = _core.inverse(d.space.map, q, 1e-9)
     made[f"map {n}"] = d.inverse_map(tolerance=1e-3).astype(np.float64)
     for dtype in ("u1", "f4", "f8"):
         for channels in (1, 3, 4):
@@ -108,8 +108,8 @@ import importlib, sys
 import numpy as np
 names = sys.argv[1:]
 modules = [importlib.import_module(f"supple._core.{name}") for name in names]
-rows, axes = np.zeros((0, 20)), np.array([[0, 40.0, -1, 1, 0], [0, 30.0, -1, 1, 0], [0, 0.0, 0, 1, 0]])
-plans = [m.Plan(rows, axes, 2, 31, 41, 0.0, 0.01) for m in modules]
+rows, axes = np.zeros((0, 39)), np.array([[0, 40.0, -1, 1, 0], [0, 30.0, -1, 1, 0], [0, 0.0, 0, 1, 0]])
+plans = [m.Plan(m.Map(rows, axes, 2), 31, 41, 0.0, 0.01) for m in modules]
 assert len({type(p) for p in plans}) == len(names)
 for m, p in zip(modules, plans):
     out = np.empty((31, 41, 2))

@@ -111,19 +111,19 @@ def test_any_number_of_points(count: int) -> None:
     whole = _core.forward(rows, d.space.axes, points, True)
     np.testing.assert_array_equal(moved, whole[0][:count])
     np.testing.assert_array_equal(slopes, whole[1][:count])
-    found = _core.inverse(rows, d.space.axes, points[:count], 2, 1e-9)
+    found = _core.inverse(d.space.map, points[:count], 1e-9)
     assert [len(a) for a in found] == [count] * 3
-    for part, all_of_it in zip(found[:2], _core.inverse(rows, d.space.axes, points, 2, 1e-9)[:2], strict=True):
+    for part, all_of_it in zip(found[:2], _core.inverse(d.space.map, points, 1e-9)[:2], strict=True):
         np.testing.assert_allclose(part, all_of_it[:count], rtol=0, atol=1e-9)
 
 
 @examples(30)
 @given(deformations())
 def test_the_inverse_undoes_the_map(d: Deformation) -> None:
-    rows, finest = numbers(d.space.table), min(d.domain.spacing)
+    finest = min(d.domain.spacing)
     p = places(d, 80)
     q = reference.forward(reference.carried_out(d), d.domain, p)
-    found, residual, steps = _core.inverse(rows, d.space.axes, lifted(d, q), d.ndim, 1e-9 * finest)
+    found, residual, steps = _core.inverse(d.space.map, lifted(d, q), 1e-9 * finest)
     assert (residual <= 1e-8 * finest).all()
     assert (steps >= 1).all()
     assert (steps == np.rint(steps)).all()
@@ -172,7 +172,7 @@ def test_the_continuation_takes_over_just_below_the_fold_limit(scales: int, belo
     p, slopes = on_the_line(x[k] + away)
     assert slopes[:, 0, 0].min() == pytest.approx(below, rel=0.01, abs=2e-12)
     q, _ = _core.forward(rows, axes, p, False)
-    found, residual, steps = _core.inverse(rows, axes, q, 2, 1e-9)
+    found, residual, steps = _core.inverse(_core.Map(rows, axes, 2), q, 1e-9)
     assert residual.max() < 1e-11
     assert (np.linalg.det(on_the_line(found[:, 0])[1]) > 0).all()
     assert np.abs(found - p).max() < (1e-9 if below == 0.01 else 2e-3)
@@ -217,7 +217,7 @@ def test_what_the_core_is_given_is_checked() -> None:
         _core.forward(rows, d.space.axes, np.zeros((4, 2)), False)
     with pytest.raises(TypeError):
         _core.forward(rows, d.space.axes[:2], points, False)
-    with pytest.raises(ValueError, match=r"strokes must have [0-9]+ columns"):
+    with pytest.raises(TypeError):
         _core.forward(np.ascontiguousarray(rows[:, 1:]), d.space.axes, points, False)
     np.testing.assert_array_equal(_core.forward(rows[:0], d.space.axes, points + 3, False)[0], points + 3)
 

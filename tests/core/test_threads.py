@@ -124,7 +124,7 @@ q = np.random.default_rng(0).uniform(0, 500, (200_000, 2))
 rows = np.repeat(numbers(d.space.table), 400, axis=0)
 rows[:, 3:6] /= 400
 targets = np.zeros((400_000, 3)); targets[:, :2] = q.repeat(2, 0)
-call = lambda: _core.inverse(rows, d.space.axes, targets, 2, 1e-9)
+call = lambda: _core.inverse(_core.Map(rows, d.space.axes, 2), targets, 1e-9)
 """,
     "a plan": """
 d = Deformation((9000, 200), border=1.0)

@@ -21,6 +21,16 @@ class Freeze:
     def stand_for(self, masks: Sequence[Freeze | None], freezes: Sequence[tuple[int, int]]) -> None: ...
     def freedom(self, points: Floats) -> tuple[Floats, Floats]: ...
 
+class Map:
+    def __init__(
+        self,
+        strokes: Floats,
+        axes: Floats,
+        ndim: int,
+        freeze: Freeze | None = None,
+        composite: Composite | None = None,
+    ) -> None: ...
+
 @overload
 def forward(
     strokes: Floats, axes: Floats, points: Floats, jacobian: Literal[True], freeze: Freeze | None = None
@@ -29,9 +39,7 @@ def forward(
 def forward(
     strokes: Floats, axes: Floats, points: Floats, jacobian: bool, freeze: Freeze | None = None
 ) -> tuple[Floats, Floats | None]: ...
-def inverse(
-    strokes: Floats, axes: Floats, targets: Floats, ndim: int, tolerance: float, freeze: Freeze | None = None
-) -> tuple[Floats, Floats, Floats]: ...
+def inverse(map: Map, targets: Floats, tolerance: float) -> tuple[Floats, Floats, Floats]: ...
 def invert_as_published(
     strokes: Floats,
     axes: Floats,
@@ -87,6 +95,10 @@ class Composite:
 
 # ---- planes
 
+Box = tuple[int, int, int, int]
+Codes = tuple[int, int, int, bool]
+Told = tuple[float, float, int, int, int]
+
 class Sampling:
     def __init__(
         self,
@@ -95,10 +107,7 @@ class Sampling:
         count: int,
         step: tuple[int, int],
         offset: tuple[float, float],
-        filter: int,
-        between: int,
-        rule: int,
-        average: bool,
+        codes: Codes,
         fill: Sequence[float],
         alpha: int,
         light: bool,
@@ -110,17 +119,7 @@ class Sampling:
 
 class Plan:
     def __init__(
-        self,
-        strokes: Floats,
-        axes: Floats,
-        ndim: int,
-        height: int,
-        width: int,
-        z: float,
-        tolerance: float,
-        map: Composite | None = None,
-        box: tuple[int, int, int, int] | None = None,
-        freeze: Freeze | None = None,
+        self, map: Map, height: int, width: int, z: float, tolerance: float, box: Box | None = None
     ) -> None: ...
     @property
     def outside(self) -> int: ...
@@ -139,41 +138,31 @@ class Plan:
     def extent(self) -> tuple[tuple[float, ...], tuple[float, ...], float, float]: ...
     def points(self, out: Singles | Floats) -> None: ...
     def measure(self, finest: float) -> tuple[float, int]: ...
-    def sample(self, sampling: Sampling, box: tuple[int, int, int, int] | None = None) -> None: ...
+    def sample(self, sampling: Sampling, box: Box | None = None) -> None: ...
 
 def finite(samples: Array) -> bool: ...
 def warp_stack(
-    strokes: Floats,
-    axes: Floats,
+    map: Map,
     height: int,
     width: int,
     planes: Sequence[int],
     tolerance: float,
     samplings: list[Sampling],
-    map: Composite | None = None,
-    box: tuple[int, int, int, int] | None = None,
+    box: Box | None = None,
     copied: list[bool] | None = None,
-    freeze: Freeze | None = None,
-) -> tuple[float, float, tuple[int, int, int]]: ...
+) -> Told: ...
 def needed(
-    strokes: Floats,
-    axes: Floats,
-    ndim: int,
+    map: Map,
     height: int,
     width: int,
     planes: Sequence[int],
     tolerance: float,
     count: int,
     size: tuple[int, int],
-    filter: int,
-    between: int,
-    rule: int,
-    average: bool,
-    map: Composite | None,
-    box: tuple[int, int, int, int],
-    freeze: Freeze | None = None,
-) -> tuple[tuple[int, ...], list[float], float, tuple[int, int, int]]: ...
-def flatten(maps: Sequence[tuple[Floats, Floats, Composite | None, Freeze | None]], base: int) -> bytes: ...
+    codes: Codes,
+    box: Box,
+) -> tuple[tuple[int, ...], list[float], Told]: ...
+def flatten(maps: Sequence[Map], base: int) -> bytes: ...
 
 constants: dict[str, float]
 
@@ -195,9 +184,6 @@ def is_whole(stroke: Floats, axes: Floats, freeze: Freeze | None = None) -> bool
 # ---- volumes
 
 BRICK: int
-
-class Strokes:
-    def __init__(self, rows: Floats, axes: Floats, freeze: Freeze | None = None) -> None: ...
 
 class Look:
     def __init__(
@@ -226,7 +212,7 @@ def draw(
     samples: Array,
     colours: Array | None,
     look: Look,
-    strokes: Strokes | None,
+    map: Map | None,
     columns: Floats,
     rows: Floats,
     light: Singles,

@@ -1,8 +1,6 @@
 // The Python module of the core, and its functions of points.
 #include "bindings.hpp"
 
-#include <nanobind/stl/array.h>
-
 #include "paper.hpp"
 
 namespace supple {
@@ -15,8 +13,8 @@ bool python_interrupts() {
     return PyErr_CheckSignals() != 0;
 }
 
-nb::object forward(const Doubles& table, const AxisRows& rows, const Triples& points, bool jacobian, Masking freeze) {
-    const Strokes strokes = strokes_of(table, rows, freeze);
+nb::object forward(const Rows& rows, const AxisRows& axes, const Triples& points, bool jacobian, const Frozen* freeze) {
+    const Strokes strokes = strokes_of(rows, axes, freeze);
     const size_t count = points.shape(0);
     auto *moved = new std::vector<double>(count * 3), *matrices = new std::vector<double>(jacobian ? count * 9 : 0);
     nb::object first = owned(moved, {count, 3}), second = owned(matrices, {matrices->size() / 9, 3, 3});
@@ -39,10 +37,9 @@ nb::object forward(const Doubles& table, const AxisRows& rows, const Triples& po
     return nb::make_tuple(first, jacobian ? second : nb::none());
 }
 
-nb::object inverse(const Doubles& table, const AxisRows& rows, const Triples& targets, int ndim, double tolerance,
-                   Masking freeze) {
-    const Strokes strokes = strokes_of(table, rows, freeze);
-    const Axis* axes = strokes.axes.data();
+nb::object inverse(const Mapping& map, const Triples& targets, double tolerance) {
+    const Chain chain = map.strokes.chain();
+    const Axis* axes = map.strokes.axes.data();
     const size_t count = targets.shape(0);
     auto *points = new std::vector<double>(targets.data(), targets.data() + 3 * count),
          *residual = new std::vector<double>(count), *steps = new std::vector<double>(count);
@@ -54,10 +51,10 @@ nb::object inverse(const Doubles& table, const AxisRows& rows, const Triples& ta
             for (int l = 0; l < LANES; l++)
                 for (int d = 0; d < D; d++) q[d][l] = from[3 * (start + std::min(l, n - 1)) + d];
             Solution<D, Lanes> found;
-            undo<D>(strokes.chain(), axes, q, tolerance, found);
+            undo<D>(chain, axes, q, tolerance, found);
             // The residual is measured again, at the returned point.
             for (int d = 0; d < D; d++) x[d] = found.p[d];
-            apply<D>(strokes.chain(), axes, x);
+            apply<D>(chain, axes, x);
             for (int d = 0; d < D; d++) e2 += (x[d] - q[d]) * (x[d] - q[d]);
             Lanes r = root(e2);
             for (int l = 0; l < n; l++) {
@@ -67,19 +64,16 @@ nb::object inverse(const Doubles& table, const AxisRows& rows, const Triples& ta
             }
         });
     };
-    unlocked([&] { ndim == 2 ? run.template operator()<2>() : run.template operator()<3>(); });
+    unlocked([&] { map.ndim == 2 ? run.template operator()<2>() : run.template operator()<3>(); });
     return made;
 }
 
-void published(const Doubles& table, const AxisRows& rows, double z, int every, double mu, double tolerance, int limit,
+void published(const Rows& table, const AxisRows& rows, double z, int every, double mu, double tolerance, int limit,
                bool corrected, Solid<float> points, Array<int64_t, -1, -1> counts, Array<double, -1, -1> residual) {
-    const Strokes strokes = strokes_of(table, rows, std::nullopt);
+    const Strokes strokes = strokes_of(table, rows, nullptr);
     const Axes& axes = strokes.axes;
     const Published how{mu, tolerance, limit, corrected};
     const size_t height = points.shape(0), width = points.shape(1), ndim = points.shape(2);
-    if (counts.shape(0) != height || counts.shape(1) != width || residual.shape(0) != height ||
-        residual.shape(1) != width || ndim < 2 || ndim > 3)
-        throw nb::value_error("points, counts and residual must be of one shape");
     auto invert = [&]<int D>(int y) {
         for (size_t x = 0, at = y * width; x < width; x++, at++) {
             double p[3] = {x * every * axes[0].spacing, y * every * axes[1].spacing, z * axes[2].spacing};
@@ -99,14 +93,7 @@ void published(const Doubles& table, const AxisRows& rows, double z, int every, 
 
 void make_frozen(Frozen* self, const Solid<const float>& values, std::array<double, 3> first,
                  std::array<double, 3> step) {
-    int shape[3];
-    for (int i = 0; i < 3; i++) {
-        shape[i] = (int)values.shape(i);
-        if (shape[i] != 1 && shape[i] < 8) throw nb::value_error("a mask needs 1 coefficient along an axis, or 8");
-        if (!(step[i] > 0) || !std::isfinite(step[i])) throw nb::value_error("steps must be above 0");
-    }
-    for (size_t i = 0; i < values.size(); i++)
-        if (!(values.data()[i] >= 0 && values.data()[i] <= 1)) throw nb::value_error("coefficients must be in [0, 1]");
+    const int shape[3] = {(int)values.shape(0), (int)values.shape(1), (int)values.shape(2)};
     new (self) Frozen(values.data(), shape, first.data(), step.data());
 }
 
@@ -129,7 +116,8 @@ void bind_points(nb::module_& m) {
         .def(
             "stand_for",
             [](Frozen& self, nb::list masks, nb::list freezes) {
-                for (nb::handle mask : masks) self.masks.push_back(nb::cast<Masking>(mask).value_or(nullptr));
+                for (nb::handle mask : masks)
+                    self.masks.push_back(nb::cast<std::optional<const Frozen*>>(mask).value_or(nullptr));
                 for (nb::handle freeze : freezes) {
                     const auto [row, number] = nb::cast<std::pair<int, int>>(freeze);
                     self.freezes.push_back({row, self.masks.at(number)});
@@ -139,10 +127,20 @@ void bind_points(nb::module_& m) {
             "Stand for several masks, by their numbers in the rows of strokes; they have to live as long. Of freezes "
             "between rows: the row before which each stands, and the number of its mask.")
         .def("freedom", &freedom, "points"_a, "Return m of points (N, 3), in physical units, and its gradient.");
-    m.def("forward", &forward, "strokes"_a, "axes"_a, "points"_a, "jacobian"_a, "freeze"_a = nb::none(),
+    nb::class_<Mapping>(m, "Map", "Strokes and their axes, or a composite of them and other maps.")
+        .def(
+            "__init__",
+            [](Mapping* self, const Rows& rows, const AxisRows& axes, int ndim, const Frozen* freeze,
+               const Composed* composite) {
+                new (self) Mapping{strokes_of(rows, axes, freeze), ndim, freeze, composite};
+            },
+            "strokes"_a, "axes"_a, "ndim"_a, "freeze"_a.none() = nb::none(), "composite"_a.none() = nb::none(),
+            nb::keep_alive<1, 5>(), nb::keep_alive<1, 6>());
+    m.def("forward", &forward, "strokes"_a, "axes"_a, "points"_a, "jacobian"_a, "freeze"_a.none() = nb::none(),
           "Return T of points (N, 3), in physical units, and ∂T/∂p (N, 3, 3) or None.");
-    m.def("inverse", &inverse, "strokes"_a, "axes"_a, "targets"_a, "ndim"_a, "tolerance"_a, "freeze"_a = nb::none(),
-          "Return T⁻¹ of points (N, 3), the residuals |T(p) - q| and the evaluations of T, in physical units.");
+    m.def("inverse", &inverse, "map"_a, "targets"_a, "tolerance"_a,
+          "Return T⁻¹ of points (N, 3) for strokes alone, the residuals |T(p) - q| and the evaluations of T, in "
+          "physical units.");
     m.def("invert_as_published", &published, "strokes"_a, "axes"_a, "z"_a, "every"_a, "mu"_a, "tolerance"_a, "limit"_a,
           "corrected"_a, "points"_a.noconvert(), "counts"_a.noconvert(), "residual"_a.noconvert(),
           "Invert every pixel by the published method.");

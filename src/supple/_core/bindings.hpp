@@ -2,6 +2,7 @@
 #pragma once
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
+#include <nanobind/stl/array.h>
 #include <nanobind/stl/optional.h>
 
 #include <optional>
@@ -19,18 +20,37 @@ template <class T, nb::ssize_t... SIZES>
 using Array = nb::ndarray<T, nb::shape<SIZES...>, nb::c_contig, nb::device::cpu>;
 template <class T>
 using Solid = Array<T, -1, -1, -1>;
+typedef nb::ndarray<nb::ro, nb::c_contig, nb::device::cpu> Given;  // of any type
+typedef nb::ndarray<nb::c_contig, nb::device::cpu> Result;
 typedef Array<const double, -1, -1> Doubles;
+typedef Array<const double, -1, STROKE_NUMBERS> Rows;
 typedef Array<const double, -1, 3> Triples;
 typedef Array<const double, 3, AXIS_NUMBERS> AxisRows;
-typedef std::optional<const Frozen*> Masking;  // a freeze mask, or none
 
-inline Strokes strokes_of(const Doubles& rows, const Axes& axes, const Masking& freeze) {
-    if (rows.shape(0) && rows.shape(1) != STROKE_NUMBERS) throw nb::value_error("strokes must have 39 columns");
-    return Strokes(rows.data(), rows.shape(0), axes, freeze.value_or(nullptr));
+inline Strokes strokes_of(const Rows& rows, const AxisRows& axes, const Frozen* freeze) {
+    return Strokes(rows.data(), rows.shape(0), load_axes(axes.data()), freeze);
 }
-inline Strokes strokes_of(const Doubles& rows, const AxisRows& axes, const Masking& freeze) {
-    return strokes_of(rows, load_axes(axes.data()), freeze);
-}
+
+struct Field : Sampled {
+    int ndim;
+    Given held;  // its values
+};
+
+// A composite with the memory of its parts; the fields and the mask are kept alive.
+struct Composed : Composite {
+    int ndim;
+    std::vector<Part> held;
+    std::vector<Strokes> strokes;
+    std::vector<nb::object> kept;
+};
+
+// A map: strokes alone, or a composite, which has them among its parts.
+struct Mapping {
+    Strokes strokes;
+    int ndim;
+    const Frozen* freeze;       // or null
+    const Composed* composite;  // or null
+};
 
 // The values as a new array that owns them.
 inline nb::object owned(std::vector<double>* made, std::initializer_list<size_t> shape) {

@@ -1,22 +1,18 @@
 // Python bindings of sampled fields and composite maps: points, inverses and folds.
+#include <nanobind/stl/string.h>
 #include <nanobind/stl/tuple.h>
 #include <nanobind/stl/vector.h>
 
-#include "composites.hpp"
+#include "bindings.hpp"
 #include "folds.hpp"
 
 namespace supple {
 namespace {
 
-typedef nb::ndarray<nb::ro, nb::c_contig, nb::device::cpu> Values;
-typedef nb::ndarray<nb::c_contig, nb::device::cpu> Result;
-
-// Read a matrix of n + `more` rows; the last column of an affine map, the translation, goes to to[i][3].
-void fill_matrix(const Doubles& rows, int n, int columns, double (*to)[4], int more = 0) {
-    if ((int)rows.shape(0) != n + more || (int)rows.shape(1) != columns)
-        throw nb::value_error("a matrix has a wrong shape");
-    for (int i = 0; i < n + more; i++)
-        for (int j = 0; j < columns; j++) to[i][j < n ? j : 3] = rows.data()[i * columns + j];
+// Read a matrix; the last column of an affine map in n dimensions, the translation, goes to to[i][3].
+void fill_matrix(const Doubles& rows, int n, double (*to)[4]) {
+    for (int i = 0; i < (int)rows.shape(0); i++)
+        for (int j = 0; j < (int)rows.shape(1); j++) to[i][j < n ? j : 3] = rows(i, j);
 }
 
 // Whether a field is so smooth, and its samples so far apart, that cells of several pixels may interpolate it.
@@ -84,11 +80,8 @@ Passed<Lanes> pass_with_error(const Composite& map, bool backwards, const double
 
 // Map points (N, 3) by a composite. Return the points, their derivatives or None, and the evaluations; write the status
 // of each point and, if `errors` is given, a bound of its error.
-nb::object through(const AnyComposite& any, const Triples& points, bool backwards, bool jacobian,
-                   Array<uint8_t, -1> status, std::optional<Array<double, -1>> errors) {
-    if (status.shape(0) != points.shape(0) || (errors && (jacobian || errors->shape(0) != points.shape(0))))
-        throw nb::value_error("status and errors must be as many as points, without derivatives");
-    const Composite& map = *any.held;
+nb::object through(const Composed& map, const Triples& points, bool backwards, bool jacobian, Array<uint8_t, -1> status,
+                   std::optional<Array<double, -1>> errors) {
     const size_t count = points.shape(0);
     auto *moved = new std::vector<double>(points.data(), points.data() + 3 * count),
          *steps = new std::vector<double>(count), *matrices = new std::vector<double>(jacobian ? 9 * count : 0);
@@ -117,7 +110,7 @@ nb::object through(const AnyComposite& any, const Triples& points, bool backward
             }
         });
     };
-    unlocked([&] { any.ndim == 2 ? run.template operator()<2>() : run.template operator()<3>(); });
+    unlocked([&] { map.ndim == 2 ? run.template operator()<2>() : run.template operator()<3>(); });
     return nb::make_tuple(first, jacobian ? second : nb::none(), third);
 }
 
@@ -271,19 +264,11 @@ void invert_field(const Field& field, const Doubles& grid, const Doubles& back, 
                   nb::ndarray<float, nb::c_contig, nb::device::cpu> error,
                   nb::ndarray<uint8_t, nb::c_contig, nb::device::cpu> status) {
     const int n = field.ndim;
-    Inversion job{
-        field.held,   {},           {}, {1, 1, 1}, tolerance, values.data(), values.dtype() == nb::dtype<double>(),
-        error.data(), status.data()};
-    fill_matrix(grid, n, n + 1, job.grid);
-    fill_matrix(back, n, n + 1, job.back);
-    if ((int)values.ndim() != n + 1 || (int)error.ndim() != n || (int)status.ndim() != n ||
-        (!job.wide && values.dtype() != nb::dtype<float>()) || (int)values.shape(n) != n)
-        throw nb::value_error("values must be floats of shape (*shape, D), error and status of shape (*shape)");
-    for (int d = 0; d < n; d++) {
-        job.size[d] = (int)values.shape(n - 1 - d);
-        if (error.shape(n - 1 - d) != values.shape(n - 1 - d) || status.shape(n - 1 - d) != values.shape(n - 1 - d))
-            throw nb::value_error("values, error and status must be of one shape");
-    }
+    const bool wide = values.dtype() == nb::dtype<double>();
+    Inversion job{field, {}, {}, {1, 1, 1}, tolerance, values.data(), wide, error.data(), status.data()};
+    fill_matrix(grid, n, job.grid);
+    fill_matrix(back, n, job.back);
+    for (int d = 0; d < n; d++) job.size[d] = (int)values.shape(n - 1 - d);
     unlocked([&] { n == 2 ? invert_all<2>(job) : invert_all<3>(job); });
 }
 
@@ -308,17 +293,12 @@ void find_cells(const Sampled& k, uint8_t* cells, const int* shape) {
     });
 }
 
-void folded_cells(const Field& field, nb::ndarray<uint8_t, nb::c_contig, nb::device::cpu> cells) {
-    const Sampled& k = field.held;
+void folded_cells(const Field& k, nb::ndarray<uint8_t, nb::c_contig, nb::device::cpu> cells) {
     int shape[3] = {1, 1, 1};
-    if ((int)cells.ndim() != field.ndim) throw nb::value_error("cells must have an axis for each of the field's");
-    for (int d = 0; d < field.ndim; d++) {
-        shape[d] = std::max((int)k.last[d] - (int)k.first[d], 1);
-        if ((int)cells.shape(field.ndim - 1 - d) != shape[d]) throw nb::value_error("cells have a wrong shape");
-    }
+    for (int d = 0; d < k.ndim; d++) shape[d] = (int)cells.shape(k.ndim - 1 - d);
     unlocked([&] {
-        auto run = field.ndim == 2 ? (k.order == 1 ? find_cells<2, 2> : find_cells<2, 4>)
-                                   : (k.order == 1 ? find_cells<3, 2> : find_cells<3, 4>);
+        auto run = k.ndim == 2 ? (k.order == 1 ? find_cells<2, 2> : find_cells<2, 4>)
+                               : (k.order == 1 ? find_cells<3, 2> : find_cells<3, 4>);
         run(k, cells.data(), shape);
     });
 }
@@ -329,33 +309,26 @@ void bind_fields(nb::module_& m) {
     nb::class_<Field>(m, "Sampled", "A displacement field that is sampled on a grid.")
         .def(
             "__init__",
-            [](Field* self, Values values, int order, std::vector<double> first, std::vector<double> last,
-               double margin, bool zero, const Doubles& to_index, const Doubles& to_place, const Doubles& vectors) {
+            [](Field* self, Given values, int order, std::vector<double> first, std::vector<double> last, double margin,
+               bool zero, const Doubles& to_index, const Doubles& to_place, const Doubles& vectors) {
                 const int n = (int)values.ndim() - 1;
-                if (n < 2 || n > 3 || (int)values.shape(n) != n || (int)first.size() != n || (int)last.size() != n ||
-                    (order != 1 && order != 3))
-                    throw nb::value_error("values must have the shape (*shape, D)");
-                new (self) Field{values, n, {}};
-                Sampled& k = self->held;
+                Field& k = *new (self) Field{{}, n, values};
                 k.values = values.data();
                 k.wide = values.dtype() == nb::dtype<double>();
-                if (!k.wide && values.dtype() != nb::dtype<float>()) throw nb::type_error("values must be floats");
                 k.order = order;
                 for (int d = 0; d < 3; d++) {
                     k.size[d] = d < n ? (int)values.shape(n - 1 - d) : 1;
                     k.first[d] = d < n ? first[d] : 0;
                     k.last[d] = d < n ? last[d] : 0;
-                    if (k.first[d] < 0 || k.last[d] > k.size[d] - 1 || k.last[d] < k.first[d])
-                        throw nb::value_error("first and last must be indices of the field");
                 }
                 k.zero = zero;
                 k.margin = margin;
                 double matrix[3][4];
-                fill_matrix(to_index, n, n + 1, k.to_index);
-                fill_matrix(to_place, n, n, k.to_place);
+                fill_matrix(to_index, n, k.to_index);
+                fill_matrix(to_place, n, k.to_place);
                 for (int i = 0; i < n; i++)
                     for (int j = 0; j < n; j++) k.to_place[i][3] -= k.to_place[i][j] * k.to_index[j][3];
-                fill_matrix(vectors, n, n, matrix);
+                fill_matrix(vectors, n, matrix);
                 k.diagonal = true;
                 for (int i = 0; i < n; i++)
                     for (int j = 0; j < n; j++) {
@@ -367,41 +340,42 @@ void bind_fields(nb::module_& m) {
         .def("folded_cells", &folded_cells, "cells"_a.noconvert(), "Mark the cells in which it may fold.")
         .def("invert", &invert_field, "grid"_a, "back"_a, "tolerance"_a, "values"_a.noconvert(), "error"_a.noconvert(),
              "status"_a.noconvert(), "Write the inverse displacement of every sample of a grid, its error and status.");
-    nb::class_<AnyComposite>(m, "Composite", "Strokes, affine maps and sampled fields, one after the other.")
+    nb::class_<Composed>(m, "Composite", "Strokes, affine maps and sampled fields, one after the other.")
         .def(
             "__init__",
-            [](AnyComposite* self, int ndim, const AxisRows& rows, nb::list parts, nb::object freeze) {
-                auto map = std::make_shared<OwnComposite>(load_axes(rows.data()));
-                std::vector<nb::object> kept{freeze};
+            [](Composed* self, int ndim, const AxisRows& rows, nb::list parts, nb::object freeze) {
+                Composed map{{nullptr, (int)parts.size(), true, {}}, ndim, {}, {}, {freeze}};
+                const Frozen* mask = nb::cast<std::optional<const Frozen*>>(freeze).value_or(nullptr);
+                const Axes axes = load_axes(rows.data());
+                std::copy(axes.begin(), axes.end(), map.axes);
                 for (nb::handle h : parts) {
                     nb::tuple item = nb::cast<nb::tuple>(h);
                     std::string kind = nb::cast<std::string>(item[0]);
                     Part part{};
                     part.inverted = nb::cast<bool>(item[2]);
                     if (kind == "field") {
-                        const Field& field = nb::cast<const Field&>(item[1]);
-                        if (field.ndim != ndim) throw nb::value_error("a field has another number of axes");
                         part.kind = FIELD;
-                        part.field = field.held;
-                        map->smooth = map->smooth && is_smooth(field.held, map->axes, ndim);
-                        kept.push_back(nb::borrow(item[1]));
+                        part.field = nb::cast<const Field&>(item[1]);
+                        map.smooth = map.smooth && is_smooth(part.field, map.axes, ndim);
+                        map.kept.push_back(nb::borrow(item[1]));
                     } else if (kind == "affine") {
                         part.kind = AFFINE;
                         nb::tuple both = nb::cast<nb::tuple>(item[1]);
                         const Doubles there = nb::cast<Doubles>(both[0]), back = nb::cast<Doubles>(both[1]);
                         part.projective = ndim == 2 && there.shape(0) == 3;
-                        fill_matrix(there, ndim, ndim + 1, part.there, part.projective);
-                        fill_matrix(back, ndim, ndim + 1, part.back, part.projective);
+                        fill_matrix(there, ndim, part.there);
+                        fill_matrix(back, ndim, part.back);
                     } else {
                         part.kind = STROKES;
-                        part.chain =
-                            map->chain_of(strokes_of(nb::cast<Doubles>(item[1]), rows, nb::cast<Masking>(freeze)));
+                        map.strokes.push_back(strokes_of(nb::cast<Rows>(item[1]), rows, mask));
+                        part.chain = map.strokes.back().chain();
                     }
-                    map->add(part);
+                    map.held.push_back(part);
                 }
-                new (self) AnyComposite{ndim, std::move(map), std::move(kept)};
+                map.parts = map.held.data();
+                new (self) Composed(std::move(map));
             },
-            "ndim"_a, "axes"_a, "parts"_a, "freeze"_a = nb::none())
+            "ndim"_a, "axes"_a, "parts"_a, "freeze"_a.none() = nb::none())
         .def("through", &through, "points"_a, "backwards"_a, "jacobian"_a, "status"_a.noconvert(),
              "errors"_a.noconvert() = nb::none(),
              "Return points (N, 3) mapped by T or T⁻¹, the derivatives or None, and the evaluations; status: 1 folded, "

@@ -1,7 +1,5 @@
 // Data for kernels that other compilers compile: maps in one block of memory, and constants.
-#include <nanobind/stl/string.h>
-
-#include "composites.hpp"
+#include "bindings.hpp"
 #include "map.hpp"
 
 namespace supple {
@@ -48,7 +46,6 @@ Chain flattened(Block& block, const Chain& from, const Freeze* mask) {
         strokes.push_back(from[i]);
         list.push_back(i);
         if (!from[i].freeze) continue;
-        if (!mask) throw nb::value_error("the strokes of the map have a freeze mask: give it, too");
         strokes.back().freeze = mask;
     }
     return {block.put(strokes.data(), strokes.size()), block.put(list.data(), list.size()), from.count};
@@ -58,38 +55,35 @@ size_t bytes_of(const Sampled& field, int ndim) {
     return (size_t)field.size[0] * field.size[1] * field.size[2] * ndim * (field.wide ? 8 : 4);
 }
 
-const Composite* flattened(Block& block, const Composite& from, int ndim, const Freeze* mask) {
+const Composite* flattened(Block& block, const Composed& from, const Freeze* mask) {
     std::vector<Part> parts(from.parts, from.parts + from.count);
     for (Part& part : parts) {
         part.chain = flattened(block, part.chain, mask);
         if (part.kind == FIELD)
-            part.field.values = block.put((const char*)part.field.values, bytes_of(part.field, ndim));
+            part.field.values = block.put((const char*)part.field.values, bytes_of(part.field, from.ndim));
     }
     Composite map = from;
     map.parts = block.put(parts.data(), parts.size());
     return block.put(&map, 1);
 }
 
-// One block of maps (table, axes, composite, freeze), which begins with a `Map` for each.
+// One block of maps, which begins with a `Map` for each.
 nb::bytes flatten(nb::list maps, uint64_t base) {
     Block block(base);
     Map* first = block.put((const Map*)nullptr, maps.size());
     for (nb::handle h : maps) {
-        nb::tuple item = nb::cast<nb::tuple>(h);
-        const auto composite = nb::cast<std::optional<const AnyComposite*>>(item[2]).value_or(nullptr);
-        const Masking freeze = nb::cast<Masking>(item[3]);
-        const Strokes strokes = strokes_of(nb::cast<Doubles>(item[0]), nb::cast<AxisRows>(item[1]), freeze);
-        bool subject = composite && freeze && *freeze;
+        const auto& [strokes, ndim, freeze, composite] = nb::cast<const Mapping&>(h);
+        bool subject = composite && freeze;
         Map map{};
         map.limited = true;
         for (const Stroke& k : strokes.table) {
             subject = subject || k.freeze;
             map.limited = map.limited && k.per_reach > 0;
         }
-        const Freeze* mask = subject ? flattened(block, **freeze) : nullptr;
+        const Freeze* mask = subject ? flattened(block, *freeze) : nullptr;
         map.freeze = composite ? nullptr : mask;
         map.chain = flattened(block, strokes.chain(), mask);
-        if (composite) map.composite = flattened(block, *composite->held, composite->ndim, mask);
+        if (composite) map.composite = flattened(block, *composite, mask);
         std::copy(strokes.axes.begin(), strokes.axes.end(), map.axes);
         block.set(first++, map);
     }
@@ -99,8 +93,7 @@ nb::bytes flatten(nb::list maps, uint64_t base) {
 }  // namespace
 
 void bind_flat(nb::module_& m) {
-    m.def("flatten", &flatten, "maps"_a, "base"_a,
-          "Return maps (strokes, axes, composite or None, freeze mask or None) as one block for a GPU, at an address.");
+    m.def("flatten", &flatten, "maps"_a, "base"_a, "Return maps as one block for a GPU, at an address.");
     nb::dict constants;
     constants["LONGEST"] = (double)LONGEST;
     constants["QUARTIC"] = (double)QUARTIC;

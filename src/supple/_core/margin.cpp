@@ -8,31 +8,25 @@
 namespace supple {
 namespace {
 
-Strokes group_of(const Doubles& table, const AxisRows& rows, const Masking& freeze) {
-    if (!table.shape(0)) throw nb::value_error("a group has one stroke at least");
-    return strokes_of(table, rows, freeze);
-}
-
-std::tuple<double, double> smallest_strain(const Doubles& table, const AxisRows& rows, double free, double distance,
-                                           double target, double gap, Masking freeze) {
-    const Strokes group = group_of(table, rows, freeze);
+std::tuple<double, double> smallest_strain(const Rows& table, const AxisRows& rows, double free, double distance,
+                                           double target, double gap, const Frozen* freeze) {
+    const Strokes group = strokes_of(table, rows, freeze);
     const folds::Bounds found = folds::smallest_strain(group.table, group.axes.data(), free, distance, target, gap);
     return {found.lower, found.upper};
 }
 
-std::tuple<double, double, double> smallest_free_strain(const Doubles& table, double gap) {
-    if (table.shape(0) != 1) throw nb::value_error("the free border is for one stroke");
-    const folds::Bounds found = folds::smallest_free_strain(strokes_of(table, Axes{}, std::nullopt).table, gap);
+std::tuple<double, double, double> smallest_free_strain(const Rows& table, double gap) {
+    const folds::Bounds found = folds::smallest_free_strain(Strokes(table.data(), 1, Axes{}).table, gap);
     return {found.lower, found.upper, found.point[0]};
 }
 
-double largest_displacement(const Doubles& table, const AxisRows& rows, Masking freeze) {
-    const Strokes group = group_of(table, rows, freeze);
+double largest_displacement(const Rows& table, const AxisRows& rows, const Frozen* freeze) {
+    const Strokes group = strokes_of(table, rows, freeze);
     return folds::largest_displacement(group.table, group.axes.data());
 }
 
-bool turns_whole(const Doubles& table, const AxisRows& rows, Masking freeze) {
-    const Strokes group = group_of(table, rows, freeze);
+bool turns_whole(const Rows& table, const AxisRows& rows, const Frozen* freeze) {
+    const Strokes group = strokes_of(table, rows, freeze);
     return group.table.size() == 1 && is_whole(group.table[0]);
 }
 
@@ -40,13 +34,13 @@ bool turns_whole(const Doubles& table, const AxisRows& rows, Masking freeze) {
 
 void bind_margin(nb::module_& m) {
     m.def("smallest_strain", &smallest_strain, "strokes"_a, "axes"_a, "free"_a, "distance"_a, "target"_a, "gap"_a,
-          "freeze"_a = nb::none(), "Bound μ of strokes that act at once from below and above.");
+          "freeze"_a.none() = nb::none(), "Bound μ of strokes that act at once from below and above.");
     m.def("smallest_free_strain", &smallest_free_strain, "stroke"_a, "gap"_a,
           "Bound μ of a unit force of finite reach in all of space; return the bounds, and how far ahead of the pivot "
           "the upper one is reached.");
-    m.def("largest_displacement", &largest_displacement, "strokes"_a, "axes"_a, "freeze"_a = nb::none(),
+    m.def("largest_displacement", &largest_displacement, "strokes"_a, "axes"_a, "freeze"_a.none() = nb::none(),
           "Bound |K| of strokes that act at once from above.");
-    m.def("is_whole", &turns_whole, "stroke"_a, "axes"_a, "freeze"_a = nb::none(),
+    m.def("is_whole", &turns_whole, "stroke"_a, "axes"_a, "freeze"_a.none() = nb::none(),
           "True for a twist where neither a border nor a mask changes it.");
 }
 

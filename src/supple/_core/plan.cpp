@@ -30,13 +30,13 @@ inline Bound bound_within(const Stroke& k, const Axes& axes, int dimensions) {
 }
 
 template <int D>
-Plan<D>::Plan(Strokes given, int width, int height, double z, double tolerance,
-              std::shared_ptr<const Composite> composite, const Box* wanted, const Frozen* masks)
+Plan<D>::Plan(Strokes given, int width, int height, double z, double tolerance, const Composite* composite,
+              const Box* wanted, const Frozen* masks)
     : width(width),
       height(height),
       z(z),
       tolerance(tolerance),
-      map(std::move(composite)),
+      map(composite),
       box(wanted ? *wanted : Box{0, width, 0, height}),
       all(std::move(given)),
       size{width, height},

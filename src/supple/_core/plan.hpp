@@ -113,12 +113,12 @@ class Plan : public Checks {
 public:
     // A plan of strokes, or of a composite map; for all of the plane, or at least the rows and columns of a box (x0,
     // x1, y0, y1). `masks` has the freezes between the strokes.
-    Plan(Strokes strokes, int width, int height, double z, double tolerance,
-         std::shared_ptr<const Composite> map = nullptr, const Box* box = nullptr, const Frozen* masks = nullptr);
+    Plan(Strokes strokes, int width, int height, double z, double tolerance, const Composite* map = nullptr,
+         const Box* box = nullptr, const Frozen* masks = nullptr);
 
     const int width, height;
     const double z, tolerance;
-    const std::shared_ptr<const Composite> map;  // or null
+    const Composite* const map;  // or null; it must live as long
     Box box;
     bool identity = true;
 

@@ -1,6 +1,4 @@
 // Python bindings of rendering.
-#include <nanobind/stl/array.h>
-
 #include "bindings.hpp"
 #include "raster.hpp"
 
@@ -26,13 +24,6 @@ typedef std::optional<nb::ndarray<nb::ro, nb::ndim<4>, nb::c_contig, nb::device:
 // Call `f` with a volume that interpolates samples: values, labels, or values with colours.
 void with_volume(const Samples& samples, const Colours& colours, bool labelled,
                  const std::function<void(const Volume&)>& f) {
-    for (int i = 0; i < 3; i++) {
-        if (samples.shape(i) < 2) throw nb::value_error("a volume must have two voxels along each axis");
-        if (colours && colours->shape(i) != samples.shape(i))
-            throw nb::value_error("colours must have the shape of samples");
-    }
-    if (colours && (colours->dtype() != samples.dtype() || colours->shape(3) != 4))
-        throw nb::type_error("colours must be of the type of samples, four for each voxel");
     with_samples(samples, [&]<class T>(const T* data) {
         const int64_t nx = samples.shape(2), ny = samples.shape(1), nz = samples.shape(0);
         if constexpr (std::is_unsigned_v<T>) {
@@ -49,14 +40,9 @@ std::array<int64_t, 3> sizes(const A& a) {
     return {(int64_t)a.shape(2), (int64_t)a.shape(1), (int64_t)a.shape(0)};
 }
 
-void make_strokes(Strokes* self, const Doubles& rows, const AxisRows& axes, Masking freeze) {
-    new (self) Strokes(strokes_of(rows, axes, freeze));
-}
-
 Float4 point_of(const float* at) { return Float4{at[0], at[1], at[2], 0}; }
 
 void look_up(Samples samples, Array<const float, -1, 3> points, Array<float, -1, 4> out, bool labelled) {
-    if (out.shape(0) != points.shape(0)) throw nb::value_error("out must have a row for each point");
     with_volume(samples, {}, labelled, [&](const Volume& voxels) {
         Chosen first{};
         first[0] = -1;
@@ -75,8 +61,6 @@ Look* make_look(Array<const double, 5, 3> camera, Solid<const uint8_t> skips, Ar
                 std::array<float, 3> lamp, bool shaded, Array<const double, 2, 3> box, std::array<double, 4> plane,
                 float silhouettes, int projection, Solid<const float> arrives, Array<const float, 2, 3> placed,
                 bool labelled) {
-    if (table.shape(0) < 1 || sums.shape(0) != table.shape(0) + 1)
-        throw nb::value_error("sums must be a row more than the table, which has one at least");
     auto* look = new Look;
     Double4* rows[] = {&look->eye, &look->spacing, &look->ahead, &look->right, &look->down};
     for (int k = 0; k < 5; k++) *rows[k] = Double4{camera(k, 0), camera(k, 1), camera(k, 2), k == 1 ? 1.0 : 0.0};
@@ -94,8 +78,6 @@ Look* make_look(Array<const double, 5, 3> camera, Solid<const uint8_t> skips, Ar
     look->projection = decltype(look->projection)(projection);
     look->arrives.assign(arrives.data(), arrives.data() + arrives.size());
     look->nodes = sizes(arrives);
-    for (int i = 0; i < 3 && arrives.size() > 0; i++)
-        if (look->nodes[i] < 2) throw nb::value_error("light must have two nodes along each axis");
     look->first_node = point_of(placed.data());
     look->per_node = point_of(placed.data() + 3);
     auto [x, y, z] = sizes(skips);
@@ -118,13 +100,10 @@ Look* make_look(Array<const double, 5, 3> camera, Solid<const uint8_t> skips, Ar
 // columns, 2) of the first surface and where opacity passes 0.9, or infinity; and work (rows, columns, 2), samples and
 // evaluations. `ends` (rows, columns, 4) is the output of `raster`: opaque, behind the part of the volume before it,
 // and in front of projections, which have no depth.
-void draw(Samples samples, Colours colours, const Look& look, const Strokes* strokes, Array<const double, -1> columns,
+void draw(Samples samples, Colours colours, const Look& look, const Mapping* map, Array<const double, -1> columns,
           Array<const double, -1> rows, Array<float, -1, -1, 4> light, Array<double, -1, -1, 2> depth,
           Array<int64_t, -1, -1, 2> work, std::optional<Array<const float, -1, -1, 4>> ends) {
     const int height = (int)rows.size(), width = (int)columns.size();
-    auto fits = [&](auto& a) { return (int)a.shape(0) == height && (int)a.shape(1) == width; };
-    if (!fits(light) || !fits(depth) || !fits(work) || (ends && !fits(*ends)))
-        throw nb::value_error("a picture must have its rows and columns");
     const int across = (width + TILE - 1) / TILE, down = (height + TILE - 1) / TILE;
     with_volume(samples, colours, look.labelled, [&](const Volume& voxels) {
         auto draw_tile = [&](int tile, int) {
@@ -141,8 +120,8 @@ void draw(Samples samples, Colours colours, const Look& look, const Strokes* str
                     all([&](int l, int i, int j) {
                         beam.enter(look, l, columns(i), rows(j), ends ? behind(i, j)[3] : NEVER);
                     });
-                    if (strokes)
-                        beam.march(look, voxels, Inverted(*strokes, look, beam));
+                    if (map)
+                        beam.march(look, voxels, Inverted(map->strokes, look, beam));
                     else
                         beam.march(look, voxels, Still());
                     all([&](int l, int i, int j) {
@@ -159,9 +138,6 @@ void draw(Samples samples, Colours colours, const Look& look, const Strokes* str
 void raster(const Look& look, Triples points, Array<const float, -1, 3> normals, Array<const int32_t, -1, 3> triangles,
             Array<const int32_t, -1, 2> lines, std::array<float, 3> colour, double radius,
             Array<const double, -1> columns, Array<const double, -1> rows, Array<float, -1, -1, 4> out) {
-    if (normals.shape(0) != points.shape(0)) throw nb::value_error("each point must have a normal");
-    if (out.shape(0) != rows.size() || out.shape(1) != columns.size())
-        throw nb::value_error("a picture must have its rows and columns");
     const Rays rays{columns.data(), rows.data(), (int)columns.size(), (int)rows.size()};
     const Mesh mesh{points.data(),           (int64_t)points.shape(0),    normals.data(),
                     triangles.data(),        (int64_t)triangles.shape(0), lines.data(),
@@ -172,9 +148,6 @@ void raster(const Look& look, Triples points, Array<const float, -1, 3> normals,
 // The smallest and the largest sample of each brick.
 void brick_ranges(Samples samples, Solid<float> lows, Solid<float> highs) {
     const auto n = sizes(samples), bricks = sizes(lows);
-    for (int i = 0; i < 3; i++)
-        if (bricks[i] != most((n[i] - 1 + BRICK - 1) / BRICK, int64_t(1)) || sizes(highs)[i] != bricks[i])
-            throw nb::value_error("lows and highs must be as many as there are bricks");
     auto end = [&](int64_t at, int axis) { return least(at * BRICK + BRICK + 1, n[axis]); };
     with_samples(samples, [&]<class T>(const T* data) {
         auto in_layer = [&](int c, int) {
@@ -200,9 +173,6 @@ void brick_ranges(Samples samples, Solid<float> lows, Solid<float> highs) {
 void mean_blocks(Samples samples, std::array<int64_t, 3> wide, Array<const float, -1> table, float low, float scale,
                  Solid<float> out) {
     const auto n = sizes(samples), blocks = sizes(out);
-    for (int i = 0; i < 3; i++)
-        if (wide[i] < 1 || blocks[i] != (n[i] + wide[i] - 1) / wide[i])
-            throw nb::value_error("out must be as many as there are blocks");
     const float last_entry = float(table.size() - 1), *entries = table.data();
     auto end = [&](int64_t at, int axis) { return least((at + 1) * wide[axis], n[axis]); };
     with_samples(samples, [&](auto* data) {
@@ -225,7 +195,6 @@ void mean_blocks(Samples samples, std::array<int64_t, 3> wide, Array<const float
 }
 
 void brick_distances(Solid<const bool> seen, Solid<uint8_t> out) {
-    if (sizes(seen) != sizes(out)) throw nb::value_error("out must be of the shape of seen");
     for (size_t i = 0; i < seen.size(); i++) out.data()[i] = seen.data()[i] ? 0 : 255;
     const int n[3] = {(int)seen.shape(2), (int)seen.shape(1), (int)seen.shape(0)};
     to_distances(n, out.data());
@@ -235,15 +204,13 @@ void brick_distances(Solid<const bool> seen, Solid<uint8_t> out) {
 
 void bind_render(nb::module_& m) {
     m.attr("BRICK") = BRICK;
-    nb::class_<Strokes>(m, "Strokes", "The strokes of a deformation and its domain, for volumes.")
-        .def("__init__", &make_strokes, "rows"_a, "axes"_a, "freeze"_a = nb::none(), nb::keep_alive<1, 4>());
     nb::class_<Look>(m, "Look",
                      "How a volume is seen: a camera, what its rays may skip, a transfer function, a lamp, a box.")
         .def(nb::new_(&make_look), "camera"_a, "skips"_a, "table"_a, "sums"_a, "low"_a, "scale"_a, "threshold"_a,
              "top"_a, "step"_a, "light"_a, "shaded"_a, "box"_a, "plane"_a, "silhouettes"_a, "projection"_a, "arrives"_a,
              "placed"_a, "labelled"_a);
-    m.def("draw", &draw, "samples"_a, "colours"_a.none(), "look"_a, "strokes"_a.none(), "columns"_a, "rows"_a,
-          "light"_a, "depth"_a, "work"_a, "ends"_a = nb::none(),
+    m.def("draw", &draw, "samples"_a, "colours"_a.none(), "look"_a, "map"_a.none(), "columns"_a, "rows"_a, "light"_a,
+          "depth"_a, "work"_a, "ends"_a = nb::none(),
           "See a volume along the rays of pixels: as it is, or through strokes.");
     m.def("raster", &raster, "look"_a, "points"_a, "normals"_a, "triangles"_a, "lines"_a, "colour"_a, "radius"_a,
           "columns"_a, "rows"_a, "out"_a, "Draw a mesh into what the rays of pixels end at.");

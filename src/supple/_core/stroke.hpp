@@ -34,18 +34,22 @@
 
 namespace supple {
 
-// One row of the stroke table, in physical units, in the layout of `supple.strokes.STROKE_DTYPE`; and derived values.
-struct Stroke {
+// One row of the stroke table, in physical units, in the layout of `supple._core.rows.STROKE_DTYPE`.
+struct StrokeRow {
     double pivot[3], force[3], matrix[3][3], radius2[3], p[3], q[3], r[3];
     int64_t terms;
-    int64_t power;         // n: 1, with a force, or 3, with a matrix
-    int64_t group;         // consecutive strokes with the same number act at once
-    double reach;          // R, or infinity
-    double most;           // a bound of the displacement of the strokes that act at once, or infinity
-    double turn[3];        // for a twist: the factor of each component of its displacement; otherwise 0
-    double stretch;        // of the third axis; `force` is stretched, too
-    double coupled;        // 1, or 0 if r of the term with B has no third component
-    double flat;           // the radius a of the plateau, or 0
+    int64_t power;   // n: 1, with a force, or 3, with a matrix
+    int64_t group;   // consecutive strokes with the same number act at once; in a row, 1 if with the one before
+    double reach;    // R, or infinity
+    double most;     // a bound of the displacement of the strokes that act at once, or infinity
+    double turn[3];  // for a twist: the factor of each component of its displacement; otherwise 0
+    double stretch;  // of the third axis; `force` is stretched, too
+    double coupled;  // 1, or 0 if r of the term with B has no third component
+    double flat;     // the radius a of the plateau, or 0
+    int64_t mask;    // the number of its freeze mask
+};
+// A stroke, with derived values.
+struct Stroke : StrokeRow {
     double per_reach;      // 1/R, or 0; with a plateau, 1/g(R)
     double rim;            // the length over which a stroke varies at the rim of its plateau
     bool shared;           // its group has other strokes

@@ -11,9 +11,9 @@
 
 namespace supple {
 
-constexpr int STROKE_NUMBERS = 39;  // pivot, force; matrix; radius2, p, q, r; terms, power, joined, of int64; reach,
-                                    // most; turn; stretch, coupled, flat; mask, of int64
-constexpr int AXIS_NUMBERS = 5;     // first, last, sigma, spacing, profile
+constexpr int STROKE_NUMBERS = 39;
+static_assert(sizeof(StrokeRow) == 8 * STROKE_NUMBERS);
+constexpr int AXIS_NUMBERS = 5;  // first, last, sigma, spacing, profile
 
 typedef std::array<Axis, 3> Axes;
 
@@ -118,27 +118,17 @@ inline Strokes::Strokes(const double* rows, size_t count, const Axes& axes, cons
     for (size_t i = 0; i < count; i++) list[i] = (int)i;
     int64_t group = 0;
     for (Stroke& k : table) {
-        double* parts[] = {k.pivot, k.force, k.matrix[0], k.matrix[1], k.matrix[2], k.radius2, k.p, k.q, k.r};
-        for (double* part : parts)
-            for (int i = 0; i < 3; i++) part[i] = *rows++;
-        int64_t joined;
-        for (int64_t* count : {&k.terms, &k.power, &joined}) memcpy(count, rows++, sizeof *count);
+        memcpy(static_cast<StrokeRow*>(&k), rows, sizeof(StrokeRow));
+        rows += STROKE_NUMBERS;
+        const bool joined = k.group != 0;
         k.group = joined ? group : ++group;
-        k.reach = *rows++;
-        k.most = *rows++;
-        for (double& factor : k.turn) factor = *rows++;
-        k.stretch = *rows++;
-        k.coupled = *rows++;
-        k.flat = *rows++;
         k.force[2] *= k.stretch;
-        int64_t mask;
-        memcpy(&mask, rows++, sizeof mask);
         k.per_reach = std::isfinite(k.reach) ? 1.0 / (k.flat > 0 ? eased(k, k.reach) : k.reach) : 0.0;
         k.rim = cbrt(0.25 * k.radius2[0] * k.flat);
         k.inner = is_inner(k, axes.data());
-        const Frozen* own = freeze && !freeze->masks.empty() ? freeze->masks.at(mask) : freeze;
+        const Frozen* own = freeze && !freeze->masks.empty() ? freeze->masks.at(k.mask) : freeze;
         k.freeze = is_free(k, own) ? nullptr : own;
-        k.shared = joined != 0;
+        k.shared = joined;
         if (joined && &k != table.data()) (&k - 1)->shared = true;
     }
 }

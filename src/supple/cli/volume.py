@@ -290,7 +290,7 @@ def render(
                 "height": render.size[0],
                 "pictures": render.turntable or 1,
                 "mode": scene.mode,
-                "device": str(who),
+                "device": who(),
                 "step": scene.step,
                 "minimum": low,
                 "maximum": high,

@@ -226,7 +226,7 @@ def warp(
             kept.add(_kept(job.recipe, made, reading.world))
             if options.json:
                 known = {"input": "-"} if str(pair[0]) == STREAM else {}
-                console.tell({**_facts_of(pair, made), **used, **known, "device": str(who)})
+                console.tell({**_facts_of(pair, made), **used, **known, "device": who()})
             say_output(console, made, None if grid is None else made.grid, pair[1], pair[0], reading.world)
 
     lost: set[Pair] = set()

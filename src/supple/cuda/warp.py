@@ -128,7 +128,7 @@ def _uploaded(gpu: CudaDevice, spaces: tuple[Space, ...], tolerance: float) -> L
     for each in spaces:
         refuse_mattes(each, "CUDA")
     stream = gpu.stream()  # it does not wait for other work of the GPU
-    maps = [(s.rows, s.axes, s.composite, s.freeze) for s in spaces]
+    maps = [space.map for space in spaces]
     memory = Memory(len(_core.flatten(maps, 0)), stream)
     packed = np.frombuffer(_core.flatten(maps, memory.pointer), np.uint8)
     memory.upload(packed)

@@ -16,8 +16,6 @@ from supple.errors import SuppleError
 from supple.space.checks import refuse
 from supple.space.geometry import Floats
 
-Box = tuple[int, int, int, int]
-
 CONVERGED = 1e-6
 """The largest residual |T(p) - q| of a converged point, in pixels."""
 
@@ -32,13 +30,10 @@ _KINDS: dict[np.dtype[Any], np.dtype[Any]] = {
 def plan_of(space: Space, z: float, tolerance: float, step: tuple[int, int] = (1, 1)) -> _core.Plan:
     """Solve for T⁻¹ on the plane of index z, within a tolerance in pixels, for samples up to ``step`` (x, y) apart."""
     first, shape, box = _laid(space, step)
-    return _core.Plan(
-        space.rows, space.axes, space.ndim, *shape, float(first + z), tolerance, space.composite, box,
-        space.freeze,
-    )  # fmt: skip
+    return _core.Plan(space.map, *shape, float(first + z), tolerance, box)
 
 
-def _laid(space: Space, step: tuple[int, int]) -> tuple[int, tuple[int, int], Box | None]:
+def _laid(space: Space, step: tuple[int, int]) -> tuple[int, tuple[int, int], _core.Box | None]:
     """Return the first plane of the output, the shape of whole planes, and the box (x0, x1, y0, y1) of each."""
     height, width = space.shape
     if space.grid is not None:
@@ -51,8 +46,11 @@ def _laid(space: Space, step: tuple[int, int]) -> tuple[int, tuple[int, int], Bo
 
 def certificate_of(plan: _core.Plan, space: Space) -> Certificate:
     """Return the certificate of a plan from the checks of its cells; its counts are of fields alone."""
-    counts = () if space.composite is None else (plan.unsolved, plan.folds, plan.outside)
-    return Certificate(plan.error, plan.evaluations, *counts)
+    return _certificate((plan.error, plan.evaluations, plan.unsolved, plan.folds, plan.outside), space)
+
+
+def _certificate(told: _core.Told, space: Space) -> Certificate:
+    return Certificate(*(told[:2] if space.composite is None else told))
 
 
 def measured(plan: _core.Plan, tolerance: float) -> Certificate:
@@ -70,25 +68,18 @@ def needed(
     the output, in pixels; -1 where no stroke reaches it. The certificate is that of the map in these planes.
     """
     (count, rows, columns), (first, (height, width), box) = space.planes, _laid(space, (1, 1))
-    part, moved, error, counts = _core.needed(
-        space.rows,
-        space.axes,
-        space.ndim,
+    part, moved, told = _core.needed(
+        space.map,
         height,
         width,
         [first + z for z in (planes if planes is not None else range(count if space.ndim == 3 else 1))],
         sampling.tolerance,
         space.count,
         space.shape,
-        FILTERS[sampling.filter],
-        BETWEEN[sampling.between_frames],
-        OUTSIDE[sampling.outside],
-        sampling.averages_frames,
-        space.composite,
+        sampling.codes,
         box or (0, columns, 0, rows),
-        space.freeze,
     )
-    return part, moved, Certificate(error, 0.0, *(() if space.composite is None else counts))
+    return part, moved, _certificate(told, space)
 
 
 def working_dtype(dtype: np.dtype[Any]) -> np.dtype[Any]:
@@ -120,15 +111,14 @@ def samplings_of(
     If the arrays hold a part of the layout's frames, ``corner`` is the position (x, y, frame) of their first sample.
     ``moving`` is the motion that samples between frames follow.
     """
-    sampling, rule = work.sampling, OUTSIDE[work.sampling.outside]
-    chosen = FILTERS[sampling.filter], BETWEEN[sampling.between_frames], rule, sampling.averages_frames
-    nearest = FILTERS["nearest"], BETWEEN["nearest"], rule, False
+    sampling = work.sampling
+    nearest = FILTERS["nearest"], BETWEEN["nearest"], OUTSIDE[sampling.outside], False
     fills = iter(np.broadcast_to(sampling.fill, sum(group.channels for group in work.layout.groups)).tolist())
     made = []
     for group, held, out in zip(work.layout.groups, frames, outs, strict=True):
         fill = [float(next(fills)) for _ in range(group.channels)]
         job = _core.Sampling(
-            held, out, count, group.step, group.offset, *(nearest if group.exact else chosen), fill,
+            held, out, count, group.step, group.offset, nearest if group.exact else sampling.codes, fill,
             group.channels - 1 if group.alpha else -1, sampling.linear_light, work.layout.white, corner,
             None if corner is None else group.shape, None if group.exact else moving,
         )  # fmt: skip
@@ -163,16 +153,14 @@ def sample(
                 plan.sample(each)
         return certificate_of(plan, space)
     first, shape, box = _laid(space, work.layout.step)
-    table, together, certificate = space.rows, _TOGETHER * _core.threads(), Certificate()
+    together, certificate = _TOGETHER * _core.threads(), Certificate()
     for start in range(0, planes, together):
         some = slice(start, min(start + together, planes))
         numbered = list(range(first + some.start, first + some.stop))
         jobs = samplings_of(work, frames, [out[some] for out in outs], space.count, corner)
-        error, steps, (folded, outside, unknown) = _core.warp_stack(
-            table, space.axes, *shape, numbered, tolerance, jobs, space.composite,
-            box, None if copied is None else list(copied[some]), space.freeze,
-        )  # fmt: skip
-        certificate |= Certificate(error, steps, *(() if space.composite is None else (unknown, folded, outside)))
+        marked = None if copied is None else list(copied[some])
+        told = _core.warp_stack(space.map, *shape, numbered, tolerance, jobs, box, marked)
+        certificate |= _certificate(told, space)
         tell("warp", some.stop, planes)
     return certificate
 
@@ -216,9 +204,7 @@ def inverse(
     shape, finest = given.shape[:-1], float(space.axes[: space.ndim, 3].min())
     status = np.zeros(len(targets), np.uint8)
     if space.composite is None:
-        result, residual, steps = _core.inverse(
-            space.rows, space.axes, targets, space.ndim, 1e-9 * finest, space.freeze
-        )
+        result, residual, steps = _core.inverse(space.map, targets, 1e-9 * finest)
     else:
         result, _, steps = space.composite.through(targets, True, False, status)
         seen, _, _ = space.composite.through(result, False, False, np.zeros_like(status))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextvars import ContextVar
 
 import numpy as np
@@ -58,22 +58,12 @@ def note(name: str) -> None:
         noted[name] = None
 
 
-class Workers:
-    """The devices recorded so far, in order."""
-
-    def __init__(self, noted: dict[str, None]) -> None:
-        self._noted = noted
-
-    def __str__(self) -> str:
-        return " and ".join(self._noted) or CPU
-
-
 @contextlib.contextmanager
-def workers() -> Iterator[Workers]:
-    """Record the devices that work for this thread."""
+def workers() -> Iterator[Callable[[], str]]:
+    """Record the devices that work for this thread; yield a function that names those so far, in order."""
     noted: dict[str, None] = {}
     token = _noted.set(noted)
     try:
-        yield Workers(noted)
+        yield lambda: " and ".join(noted) or CPU
     finally:
         _noted.reset(token)

@@ -8,30 +8,18 @@ import sys
 from collections.abc import Callable, Iterator
 from typing import Any
 
+from supple.engine.work import Tell, silent
 from supple.errors import shown
 
 
 @contextlib.contextmanager
-def counted(
-    progress: bool | Callable[[str], None],
-    unit: str = "frames",
-    also: Callable[[str, int, int], None] | None = None,
-) -> Iterator[Callable[[str, int, int], None]]:
-    """Show the progress of a clip or a volume: frames or slices, their rate, and the time left; and call ``also``."""
-    if also is not None:
-        with counted(progress, unit) as counts:
-
-            def both(step: str, done: int, total: int) -> None:
-                counts(step, done, total)
-                also(step, done, total)
-
-            yield both
-        return
+def counted(progress: bool | Callable[[str], None], unit: str = "frames") -> Iterator[Tell]:
+    """Show the progress of a clip or a volume: frames or slices, their rate, and the time left."""
     if callable(progress):
         yield lambda step, done, total: progress(step)
         return
     if not progress or sys.stderr is None or not sys.stderr.isatty():
-        yield lambda step, done, total: None
+        yield silent
         return
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, Task, TextColumn, TimeRemainingColumn
@@ -64,14 +52,14 @@ def counted(
 
 
 @contextlib.contextmanager
-def staged(source: str | os.PathLike[str], progress: bool) -> Iterator[Callable[[str], None]]:
+def staged(source: str | os.PathLike[str], progress: bool) -> Iterator[Tell]:
     """Show each stage of the work on the terminal, if there is one and ``progress`` is set."""
     if not progress or sys.stderr is None or not sys.stderr.isatty():
-        yield lambda step: None
+        yield silent
         return
     from rich.console import Console
     from rich.text import Text
 
     console = Console(stderr=True)
     with console.status(Text(f"{shown(source)}")) as status:
-        yield lambda step: status.update(Text(f"{step}: {shown(source)}"))
+        yield lambda step, done, total: status.update(Text(f"{step}: {shown(source)}"))

@@ -96,6 +96,11 @@ class Sampling:
         return self.between or {"nearest": "nearest", "labels": "cubic"}.get(self.filter, "linear")
 
     @property
+    def codes(self) -> _core.Codes:
+        """The filter, that between frames, the boundary mode, and whether to average over time, for the core."""
+        return (FILTERS[self.filter], BETWEEN[self.between_frames], OUTSIDE[self.outside], self.averages_frames)
+
+    @property
     def averages_frames(self) -> bool:
         """True if pixels are averaged over time."""
         return (self.time_filter or self.filter == "labels") and self.between_frames != "nearest"

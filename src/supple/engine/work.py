@@ -129,6 +129,11 @@ class Space:
     freeze: Mask | Mattes | None = None
 
     @property
+    def map(self) -> _core.Map:
+        """The map of points."""
+        return _core.Map(self.rows, self.axes, self.ndim, self.freeze, self.composite)
+
+    @property
     def table(self) -> npt.NDArray[np.void]:
         """The strokes, with named columns."""
         return self.rows.view(STROKE_DTYPE)[:, 0]

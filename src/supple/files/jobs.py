@@ -131,14 +131,14 @@ class Job:
 
     @contextlib.contextmanager
     def _counts(self, kind: Kind, progress: bool | Callable[[str], None], tell: Tell | None) -> Iterator[Tell]:
-        if kind != "picture" or callable(progress):
-            with counted(progress, "slices" if kind == "volume" else "frames", tell) as counts:
-                yield counts
-            return
-        with staged(self.source, progress) as show:
+        if kind == "picture" and not callable(progress):
+            shows = staged(self.source, progress)
+        else:
+            shows = counted(progress, "slices" if kind == "volume" else "frames")
+        with shows as show:
 
             def both(step: str, done: int, total: int) -> None:
-                show(step)
+                show(step, done, total)
                 if tell is not None:
                     tell(step, done, total)
 

@@ -500,12 +500,11 @@ class Scene:
         ends: Array | None = None,
     ) -> None:
         """March the rays of columns and rows of pixels by the CPU, into colours, depths and work."""
-        strokes = None
+        bent = None
         if self.deformation is not None and self.samples is self._original:
-            space = self.deformation.space
-            strokes = _core.Strokes(space.rows, np.ascontiguousarray(space.axes), space.freeze)
+            bent = self.deformation.space.map
         xs, ys = columns - (view.size[1] - 1) / 2, rows - (view.size[0] - 1) / 2  # from the centre
-        _core.draw(self.samples, self._colours, look.core, strokes, xs, ys, *into, ends)
+        _core.draw(self.samples, self._colours, look.core, bent, xs, ys, *into, ends)
 
     def pick(self, camera: Camera, size: tuple[int, int], pixel: tuple[float, float]) -> Pick | None:
         """Return the voxel under a pixel.
