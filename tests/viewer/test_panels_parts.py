@@ -270,8 +270,8 @@ def test_each_overlay_has_a_legend_in_its_own_colours() -> None:
     from supple.viewer.panels import strokes
 
     assert set(strokes.NAMES) == set(plate.OVERLAYS)
-    shader = (Path(plate.__file__).parent / "shaders" / "warm.wgsl").read_text()
-    found = [tuple(map(float, v.split(","))) for v in re.findall(r"vec3f\(([\d., ]+)\)", shader)]
+    shader = (Path(plate.__file__).parent / "shaders" / "plate.wgsl").read_text().partition("fn warm(")[2]
+    found = [tuple(map(float, v.split(","))) for v in re.findall(r"vec3f\(([\d., ]+)\)", shader.partition("}")[0])]
     assert found == [strokes.COLD[:3], strokes.HOT[:3]]
 
 

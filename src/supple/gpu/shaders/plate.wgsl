@@ -3,7 +3,7 @@
 // T⁻¹ is solved at every 16th pixel of the window, and interpolated at the others, optionally followed by Newton's
 // method. All offsets are in physical units.
 
-#use newton blend warm
+#use newton
 
 struct Settings {
     size: vec2u, // pixels of the window
@@ -67,6 +67,12 @@ fn solve(@builtin(global_invocation_id) id: vec3u) {
     nodes[k] = vec4f(found.offset, found.residual);
     nodes[k + 1u] = vec4f(found.matrix[0], found.steps);
     nodes[k + 2u] = vec4f(found.matrix[1], 0.0);
+}
+
+// The value at s, from 0 to 1, between nodes at distance h: linear between a and b, plus half of s (1 - s) h times the
+// difference of the slopes.
+fn bent(a: vec3f, b: vec3f, slope_a: vec3f, slope_b: vec3f, s: f32, h: f32) -> vec3f {
+    return mix(a, b, s) + 0.5 * h * s * (1.0 - s) * (slope_a - slope_b);
 }
 
 fn interpolated(at: vec2f) -> Seen {
@@ -159,6 +165,11 @@ fn cover_of(q: vec2f) -> f32 {
     return inside.x * inside.y;
 }
 
+// A colour from cold to warm, for numbers from 0 to 1.
+fn warm(x: f32) -> vec3f {
+    return mix(vec3f(0.10, 0.25, 0.75), vec3f(0.95, 0.35, 0.10), clamp(x, 0.0, 1.0));
+}
+
 @compute @workgroup_size(8, 8)
 fn paint(@builtin(global_invocation_id) thread: vec3u) {
     let id = settings.first + thread.xy;
@@ -199,21 +210,17 @@ fn paint(@builtin(global_invocation_id) thread: vec3u) {
     let square = vec2u((vec2f(id) + 0.5) / settings.back.w);
     let ground = select(0.42, 0.58, ((square.x + square.y) & 1u) == 0u);
     var shown = total.xyz + (1.0 - total.w) * ground;
-    if (!OVERLAID) {
-        textureStore(target_, id, vec4f(mix(settings.back.xyz, shown, cover), 1.0));
-        return;
-    }
-    if (settings.overlay == GRID) {
+    if (OVERLAID && settings.overlay == GRID) {
         let lines = abs(p / settings.every - round(p / settings.every)) * settings.every / max(covers, 1e-6);
         shown = mix(vec3f(1.0), shown, clamp(min(lines.x, lines.y) - 0.2, 0.25, 1.0));
-    } else if (settings.overlay == STRETCH) {
+    } else if (OVERLAID && settings.overlay == STRETCH) {
         let area = abs(seen.right.x * seen.below.y - seen.right.y * seen.below.x);
         let larger = clamp(-0.5 * log2(max(area, 1e-6)), -0.5, 0.5);
         // Areas that keep their size keep their colour; the root makes a change of a tenth visible.
         shown = mix(shown, warm(0.5 + sign(larger) * 0.5), 0.7 * sqrt(2.0 * abs(larger)));
-    } else if (settings.overlay == RESIDUAL) {
+    } else if (OVERLAID && settings.overlay == RESIDUAL) {
         shown = mix(shown, warm(1.0 + log2(max(seen.residual / finest(), 1e-9)) / 16.0), 0.6);
-    } else if (settings.overlay == INVERSIONS) {
+    } else if (OVERLAID && settings.overlay == INVERSIONS) {
         shown = mix(shown, warm(seen.steps / 8.0), 0.6);
     }
     textureStore(target_, id, vec4f(mix(settings.back.xyz, shown, cover), 1.0));

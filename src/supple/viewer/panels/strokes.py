@@ -46,7 +46,7 @@ NAMES = {
 }
 """Overlays, as they are called in the panel."""
 COLD, HOT = (0.10, 0.25, 0.75, 1.0), (0.95, 0.35, 0.10, 1.0)
-"""The ends of the colours, as in warm.wgsl."""
+"""The ends of the colours, as in plate.wgsl."""
 _HIGH = 10.0  # of the scale, in logical pixels
 _STEPS = 40  # of each half of a scale with two ends
 _SCALES: dict[str, tuple[str, tuple[str, ...]]] = {
