@@ -204,6 +204,7 @@ FOR_PYTHON = (
     "read_maps(path) reads them (supple compose",
     "give its pixel_array",
     "supple.warp_file warps files",
+    "Field Inverted Placed compose",  # the public names of a module
     *("left_eye", "nose_tip", "n_points", "face_landmarks"),  # as files and strokes name landmarks
     # names that other programs have
     "opencv_storage",

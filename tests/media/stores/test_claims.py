@@ -182,7 +182,7 @@ def test_what_is_done_decodes_after_writers_were_killed(sharded: bool, tmp_path:
     like = open_image(tmp_path / "in.zarr")
     out = tmp_path / "out.zarr"
     seen = 0
-    for wait in (0.0, 0.05, 0.11):
+    for wait in (0.0, 0.05, 0.11, 0.5, 2.0, 8.0):  # slow machines need longer for a shard
         with child(WRITER, tmp_path / "in.zarr", out) as writer:
             assert writer.stdout is not None
             assert writer.stdout.readline() == "go\n"
@@ -194,6 +194,8 @@ def test_what_is_done_decodes_after_writers_were_killed(sharded: bool, tmp_path:
         seen = len(done)
         for box in done:
             assert part(target.arrays[0], box).shape == (16, *target.blocks[0][1:])
+        if seen and wait > 0.1:
+            break
     assert seen
     # what a killed writer leaves is no part of the output
     spare = next(path for path in (tmp_path / "out.zarr.partial" / "0").rglob("*") if path.is_file())
