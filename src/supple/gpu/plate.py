@@ -123,7 +123,6 @@ class _Drawn:
             "BENT": bool(table.size),
             "DRAGGED": not sight.solved and sight.overlay not in ("residual", "inversions"),
             "LAID": self._laid,
-            "OVERLAID": bool(sight.overlay),
         }
         x0, y0, x1, y1 = self._box(sheet, sight, sheet.update(table, axes, freeze, settings | chosen))
         sheet.stale = NOWHERE

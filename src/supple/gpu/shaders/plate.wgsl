@@ -38,7 +38,6 @@ var target_: texture_storage_2d<rgba8unorm, write>;
 override BENT: bool = true; // true if there are strokes
 override DRAGGED: bool = false; // true if one sample for each pixel will do, with T⁻¹ interpolated between nodes
 override LAID: bool = false; // true if the image is warped already, and strokes are for the overlay
-override OVERLAID: bool = false; // true if there is an overlay
 
 const GRID = 1u;
 const STRETCH = 2u;
@@ -145,9 +144,6 @@ fn linear_at(p: vec2f, level: u32, frame: i32) -> vec4f {
 }
 
 fn at_time(p: vec2f, level: u32, time: f32) -> vec4f {
-    if (LAID) {
-        return linear_at(p, 0u, 0);
-    }
     let kept = clamp(time, 0.0, f32(settings.frames - 1u));
     let before = i32(floor(kept));
     let part = kept - f32(before);
@@ -210,17 +206,17 @@ fn paint(@builtin(global_invocation_id) thread: vec3u) {
     let square = vec2u((vec2f(id) + 0.5) / settings.back.w);
     let ground = select(0.42, 0.58, ((square.x + square.y) & 1u) == 0u);
     var shown = total.xyz + (1.0 - total.w) * ground;
-    if (OVERLAID && settings.overlay == GRID) {
+    if (settings.overlay == GRID) {
         let lines = abs(p / settings.every - round(p / settings.every)) * settings.every / max(covers, 1e-6);
         shown = mix(vec3f(1.0), shown, clamp(min(lines.x, lines.y) - 0.2, 0.25, 1.0));
-    } else if (OVERLAID && settings.overlay == STRETCH) {
+    } else if (settings.overlay == STRETCH) {
         let area = abs(seen.right.x * seen.below.y - seen.right.y * seen.below.x);
         let larger = clamp(-0.5 * log2(max(area, 1e-6)), -0.5, 0.5);
         // Areas that keep their size keep their colour; the root makes a change of a tenth visible.
         shown = mix(shown, warm(0.5 + sign(larger) * 0.5), 0.7 * sqrt(2.0 * abs(larger)));
-    } else if (OVERLAID && settings.overlay == RESIDUAL) {
+    } else if (settings.overlay == RESIDUAL) {
         shown = mix(shown, warm(1.0 + log2(max(seen.residual / finest(), 1e-9)) / 16.0), 0.6);
-    } else if (OVERLAID && settings.overlay == INVERSIONS) {
+    } else if (settings.overlay == INVERSIONS) {
         shown = mix(shown, warm(seen.steps / 8.0), 0.6);
     }
     textureStore(target_, id, vec4f(mix(settings.back.xyz, shown, cover), 1.0));
