@@ -177,6 +177,7 @@ def test_shown_is_short_and_on_one_line() -> None:
         np.arange(10_000.0).reshape(100, 100),
         "x\n" * 1000,
         [10**999] * 99,
+        [10**5000, 9],
         Rude(),
         {"a": [[[[[[[[1]]]]]]]]},
     ]

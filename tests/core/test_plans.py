@@ -434,3 +434,9 @@ def test_a_border_costs_as_its_axis_needs(
         d = d.grab(tuple(at), to=tuple(np.clip(to, 1, size - 1)), radius=radius)
         cost.append(sum(plan(d, 0.01, z).evaluations for z in range(0, shape[0] if len(shape) == 3 else 1, 4)))
     assert cost[0] <= 5 * cost[1]  # at its own axes, cells are shorter there, too
+
+
+def test_points_of_another_shape_are_refused() -> None:
+    p = plan(Deformation((40, 60)).grab((30, 20), by=(3, 2), radius=10))
+    with pytest.raises(ValueError, match="the shape of the plane"):
+        p.points(np.empty((40, 59, 2)))

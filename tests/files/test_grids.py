@@ -393,3 +393,5 @@ class TestRefusals:
         np.testing.assert_allclose(measure.stretch(flat), 1.0)
         np.testing.assert_allclose(measure.footprints(flat).major, 1.0)
         assert measure.grid(flat)[0][0, 0] == pytest.approx(-1.5)
+        with pytest.raises(SuppleError, match="leave straightening out"):
+            measure.residual(Deformation((40, 50)).straighten(rotate=30, fit="pad"))

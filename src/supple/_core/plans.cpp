@@ -143,6 +143,8 @@ nb::tuple extent_of(const Plan<D>& plan) {
 template <class T, int D>
 void points_of(const Plan<D>& plan, Solid<T>& out) {
     const int x0 = plan.box[0], x1 = plan.box[1], y0 = plan.box[2], y1 = plan.box[3];
+    if ((int)out.shape(0) != y1 - y0 || (int)out.shape(1) != x1 - x0 || out.shape(2) != D)
+        throw nb::value_error("points must have the shape of the plane, or of its part");
     T* to = out.data();
     Grid grid;
     grid.size[0] = plan.width;

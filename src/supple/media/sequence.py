@@ -257,7 +257,7 @@ def info(path: PathLike) -> dict[str, object]:
 
 def _rate(rate: float | Fraction) -> Fraction:
     number("rate", rate, "a number of frames a second from 0.0001 to 100000", 1e-4, 1e5)
-    known = Fraction(rate)
+    known = Fraction(rate if isinstance(rate, Fraction | int) else float(rate))
     ntsc = Fraction(round(known * 1001 / 1000) * 1000, 1001)
     if known > 1 and known.denominator > 2 and abs(known - ntsc) < Fraction(1, 200):
         return ntsc

@@ -93,6 +93,8 @@ def _pixels(deformation: Deformation, frame: int | None) -> tuple[int, Floats]:
 
 
 def _plan(deformation: Deformation, frame: int | None, tolerance: float) -> _core.Plan:
+    if deformation.straightened is not None:
+        raise SuppleError("this plot is of strokes and maps, on the picture as it is: leave straightening out")
     return plan_of(deformation.space, require_plane(deformation, frame), tolerance)
 
 

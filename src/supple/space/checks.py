@@ -22,7 +22,14 @@ LARGEST = 1e30
 LENGTH = f"a number above 0 (from {SMALLEST:g} to {LARGEST:g})"
 LONGEST_AXIS = 2**31 - 1
 
-_SHORT = reprlib.Repr()
+
+class _Short(reprlib.Repr):
+    def repr_int(self, x: int, level: int) -> str:  # Python refuses to print integers of thousands of digits
+        digits = int(x.bit_length() * 0.30103) + 1
+        return repr(x) if digits <= 20 else f"an integer of about {digits} digits"
+
+
+_SHORT = _Short()
 _SHORT.maxstring = _SHORT.maxother = 60
 
 

@@ -341,8 +341,9 @@ def test_shares_of_rows_that_are_decoded_at_once_are_the_picture(
     pixels, path = noise("u2", 701, 53, 3), tmp_path / "in.tif"
     tifffile.imwrite(path, pixels, compression="zlib", photometric="rgb", **placed, **form)
     monkeypatch.setattr(tiff, "_LEAST", 0)
-    monkeypatch.setattr(image, "threads", lambda: 3)
-    assert len(tiff.Page(path).shares(3)) == 3
+    monkeypatch.setattr(image, "threads", lambda: 2)
+    assert len(tiff.Page(path).shares(2)) == 2
+    assert tiff.Page(path).shares(16) == []  # of shares of a few strips, the table may be in the entry itself
     np.testing.assert_array_equal(read(path).pixels, pixels)
     data = path.read_bytes()
     with tifffile.TiffFile(path) as file:

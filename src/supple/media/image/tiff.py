@@ -200,7 +200,7 @@ class Page:
         form, height, step = self._form, self._one(_LENGTH), self._one(_TILE_HEIGHT) or self._one(_ROWS)
         across = -(-self._one(_WIDTH) // max(self._one(_TILE_WIDTH), 1)) if self.tiled else 1
         rows = -(-height // max(step, 1))  # of strips or tiles
-        small = height * self._one(_WIDTH) * self.samples * self.bits < 8 * _LEAST or rows < 4 * count
+        small = height * self._one(_WIDTH) * self.samples * self.bits < 8 * _LEAST or rows < 8 * count
         if small or self._compression == 1 or self.planes > 1:
             return []
         made = [self._mapped() for _ in range(count)]

@@ -146,7 +146,7 @@ def reduced(values: Array, factors: Sequence[int], mode: Mode) -> Array:
     sizes = [np.diff([*range(0, size, f), size]) for size, f in zip(values.shape, factors, strict=True)]
     counts: Array = np.asarray(math.prod(np.ix_(*sizes)))  # the number of samples of each group
     dtype = values.dtype
-    # accumulators of the result's size, and strided views, need no more memory than the result
+    # Strided views need no memory, and sums and counts that of a level, which is smaller.
     views = [values[tuple(map(slice, first, [None] * len(first), factors))] for first in np.ndindex(*factors)]
     parts = [tuple(map(slice, one.shape)) for one in views]  # incomplete groups at the end are not in all views
     if dtype.kind == "f" or dtype.itemsize < 8:

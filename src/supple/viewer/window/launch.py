@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import gc
 import os
 import secrets
 import sys
@@ -146,19 +145,6 @@ def tools_of(stage: ImageStage | VolumeStage, document: Document, size: Pair) ->
     return tools
 
 
-@contextlib.contextmanager
-def _uncollected() -> Iterator[None]:
-    """Pause garbage collection, which takes a tenth of the time to open a window, and finds nothing."""
-    enabled = gc.isenabled()
-    gc.disable()
-    try:
-        yield
-    finally:
-        if enabled:
-            gc.enable()
-
-
-@_uncollected()
 def opened(
     source: Source, recipe: Recipe | None, canvas: Any, loop: Any, gpu: Gpu | None = None, options: ViewOptions = _USUAL
 ) -> Window:
@@ -197,7 +183,6 @@ def opened(
     return window
 
 
-@_uncollected()
 def _gpu() -> Gpu:
     try:
         return open_gpu()
