@@ -99,6 +99,21 @@ def test_the_peak_of_a_drag_counts_where_moves_were_dropped_but_not_for_painting
         np.testing.assert_allclose(high[0].by, np.array(low[0].by) * 0.75 / 0.36)
 
 
+@pytest.mark.parametrize("wrong", ["abc", None, [], {}, float("nan"), float("inf"), -float("inf")])
+@pytest.mark.parametrize("key", ["g", "r"])
+def test_a_pressure_that_is_no_number_is_none(key: str, wrong: Any) -> None:
+    def made(*pressures: Any) -> tuple[Stroke, ...]:
+        tools = image(Stroke.grab((100, 50), by=(12, 0), radius=30))
+        strokes = drawn(tools, key, *pressures)
+        assert tools.status is None
+        return strokes
+
+    assert made(wrong, wrong, wrong) == made(None, None, None)
+    assert made(0.3, wrong, wrong) == made(0.3, 0.3, 0.3)
+    assert made(7, 10**400, 1.5) == made(1.0, 1.0, 1.0)
+    assert made(-3, -1, -0.0) == made(0.0, 0.0, 0.0)
+
+
 @pytest.mark.parametrize("key", ["g", "r"])
 def test_a_light_pen_that_joins_a_drag_of_a_mouse_does_not_weaken_it(key: str) -> None:
     def made(pressure: float | None) -> tuple[Stroke, ...]:

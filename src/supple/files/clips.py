@@ -27,10 +27,9 @@ from supple.files.jobs import Job, Warped
 from supple.files.options import ClipOptions, GridOptions, PathLike
 from supple.folding.resolved import warn_of_still
 from supple.media.base import ClipWarning, CountError
-from supple.media.clips import Clip
 from supple.media.files import check_output, replacing
 from supple.media.image import check_options, check_target
-from supple.media.medium import VIDEOS_OUT, is_animated
+from supple.media.medium import VIDEOS_OUT, Clip, is_animated
 from supple.media.numbering import has_number, is_sequence
 from supple.media.pictures import SUFFIXES as SUFFIXES_IN
 from supple.media.pictures import SUFFIXES_OUT as PICTURES_OUT

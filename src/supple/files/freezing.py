@@ -14,9 +14,8 @@ from supple.errors import FreezeWarning, SuppleError, shown
 from supple.files.clips import open_clip
 from supple.media import image, volume
 from supple.media.base import CountError
-from supple.media.clips import Clip
 from supple.media.files import PathLike
-from supple.media.medium import opened
+from supple.media.medium import Clip, opened
 from supple.space.freezing import Freeze
 from supple.space.geometry import Geometry, check_upright
 

@@ -17,9 +17,8 @@ from supple.engine.work import Array, Tell, silent
 from supple.errors import SuppleError, TrackWarning, caller, need, numbered, shown
 from supple.files.clips import counted_anew, open_clip, refuse_picture, warn_of_display
 from supple.files.options import GB, PathLike
-from supple.media.clips import Clip
 from supple.media.files import replacing
-from supple.media.medium import opened
+from supple.media.medium import Clip, opened
 from supple.space.checks import point, refuse
 
 Numbers = npt.NDArray[np.float64]

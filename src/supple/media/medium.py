@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, TypeAlias
 
 from supple.errors import shown
 from supple.media.files import PathLike
@@ -15,9 +15,12 @@ from supple.media.suffixes import CLIPS, CLIPS_OUT, VOLUMES_OUT, is_animation, i
 from supple.space.geometry import Grid
 
 if TYPE_CHECKING:
+    from supple.media import sequence, video
     from supple.media.volume import RawLayout, Volume
 
 Kind = Literal["picture", "clip", "volume"]
+Clip: TypeAlias = "sequence.Pictures | video.Clip"
+"""An open image sequence or video, whose frames are read in order."""
 
 VIDEOS_OUT = frozenset(CLIPS_OUT) - {".gif"}
 ONE_FILE = frozenset({".nii", ".nii.gz", ".nrrd", ".mha"})

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from supple.media.clips import Clip
 from supple.media.image import Picture
 from supple.media.image.display import in_srgb
+from supple.media.medium import Clip
 
 Array = npt.NDArray[Any]
 Floats = npt.NDArray[np.float32]

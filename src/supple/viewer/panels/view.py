@@ -47,8 +47,7 @@ class Veil:
         self._gpu = gpu
         self.textures: dict[int, Any] = {}
         """Textures by the numbers under which ImGui knows them."""
-        self._known: dict[int, tuple[Freeze, int]] = {}
-        self._seen: dict[int, list[Pair]] = {}  # the ranges of what is not clear
+        self._known: dict[int, tuple[Freeze, int, list[Pair]]] = {}  # with the ranges of what is not clear
 
     def draw(
         self,
@@ -67,9 +66,9 @@ class Veil:
         """
         normal, across, down = axes
         which = _FIRST + normal
-        if self._known.get(which) != (mask, index):
-            self._seen[which] = self._upload(which, mask, axes, index)
-            self._known[which] = mask, index
+        known = self._known.get(which)
+        if known is None or known[:2] != (mask, index):
+            known = self._known[which] = mask, index, self._upload(which, mask, axes, index)
         low, high = [0.0] * len(sizes), [0.0] * len(sizes)
         ends = [-0.5] * len(sizes), [n - 0.5 for n in sizes]
         for k in (across, down):
@@ -77,7 +76,7 @@ class Veil:
             if mask.size[k] > 1:
                 low[k] = mask.first[k] - mask.step[k] * _OUTER
                 high[k] = mask.first[k] + mask.step[k] * (mask.size[k] - _OUTER)
-        for k, (least, most) in zip((across, down), self._seen[which], strict=True):
+        for k, (least, most) in zip((across, down), known[2], strict=True):
             ends[0][k], ends[1][k] = max(ends[0][k], least), min(ends[1][k], most)
         (a, b), (c, d) = (seen(tuple(end)) for end in ends)
         lines.push_clip_rect((min(a, c), min(b, d)), (max(a, c), max(b, d)), True)

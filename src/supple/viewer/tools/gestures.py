@@ -248,13 +248,13 @@ class Tools(Drawing, Generic[V]):
 
     def _press(self, held: Held | None, event: Event) -> None:
         """Note a pen's pressure, if the event has one; a drag that began without one ignores it."""
-        pressure, peak = event.get("pressure"), event.get("peak", 0.0)
+        pressure, peak = _pressure(event.get("pressure")), _pressure(event.get("peak"))
         if pressure is None:
             return
         self.pen = True
         if held is None or not self.pressing or (held.pressure is None and event["event_type"] != "pointer_down"):
             return
-        held.pressure = pressure if held.paints else max(held.pressure or 0.0, pressure, peak)
+        held.pressure = pressure if held.paints else max(held.pressure or 0.0, pressure, peak or 0.0)
 
     def _on_pointer_leave(self, event: Event) -> bool:
         self.pointer = None
@@ -396,6 +396,13 @@ def commanded(event: Event) -> bool:
 def shifted(event: Event) -> bool:
     """Return whether Shift is held."""
     return "Shift" in event.get("modifiers", ())
+
+
+def _pressure(value: object) -> float | None:
+    """Return a pressure clamped to 0 to 1; None unless it is a finite number, as a page may send anything."""
+    if not isinstance(value, int | float) or not -math.inf < value < math.inf:
+        return None
+    return float(min(max(value, 0.0), 1.0))
 
 
 def _place(event: Event) -> Pair:

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from functools import lru_cache
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 import numpy as np
@@ -33,7 +32,7 @@ _SIDES = (
 _AROUND = ((-1, -1), (1, -1), (1, 1), (-1, 1))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True)
 class Stage:
     """The volume before a camera, and its canvas."""
 
@@ -41,11 +40,15 @@ class Stage:
     geometry: Geometry
     size: tuple[int, int]  # rows and columns of the canvas, in logical pixels
     points: npt.NDArray[np.float64] | None = None  # in view at first, in voxels, (N, 3); None for the whole volume
+    _views: dict[Camera, Projection] = field(default_factory=dict, init=False, compare=False)
 
-    @lru_cache(maxsize=16)  # noqa: B019 - of the last cameras, as each mark in a frame asks for one
     def view(self, camera: Camera) -> Projection:
-        """Return the projection of a camera."""
-        return view_of(camera, self.shape, self.geometry, self.size, self.points)
+        """Return the projection of a camera; the last ones are cached, as each mark in a frame asks for one."""
+        if camera not in self._views:
+            if len(self._views) >= 16:
+                self._views.clear()
+            self._views[camera] = view_of(camera, self.shape, self.geometry, self.size, self.points)
+        return self._views[camera]
 
     def target(self, camera: Camera) -> tuple[float, ...]:
         """Return the target of the camera, in indices, x first."""

@@ -77,6 +77,7 @@ class Gui:
     context of their own. Both draw with the same font textures, and with ``pictures``, textures by their numbers.
     """
 
+    @_without_gamma()
     def __init__(
         self,
         gpu: Gpu,
@@ -87,16 +88,14 @@ class Gui:
         pictures: Mapping[int, Any],
     ) -> None:
         self._canvas, self._pictures, self._shown = canvas, pictures, dict[int, Any]()
-        with _without_gamma():
-            self._renderer = ImguiRenderer(gpu.device, canvas, format)
+        self._renderer = ImguiRenderer(gpu.device, canvas, format)
         self.trouble = ""  # the error of the last layout
         backend = self._renderer.backend
         theme.apply(backend.io)
         self._controls = _Layer(backend, controls)
         context = imgui.create_context(backend.io.fonts)
         imgui.set_current_context(context)
-        with _without_gamma():
-            own = ImguiWgpuBackend(gpu.device, format)
+        own = ImguiWgpuBackend(gpu.device, format)
         own._textures, own._texture_views = backend._textures, backend._texture_views
         theme.style()
         self._marks = _Layer(own, marks)
