@@ -122,8 +122,8 @@ class Gui:
         self.trouble = trouble or self._marks.lay(size, ratio)
         imgui.set_current_context(self._renderer.imgui_context)
 
-    def draw(self, drawing: Any) -> None:
-        """Draw what is laid out into a render pass."""
+    def draw(self, drawing: Any, *, all: bool) -> None:
+        """Draw the marks and, with ``all``, the controls into a render pass."""
         backend = self._renderer.backend
         views = backend._texture_views
         for which in self._shown.keys() - self._pictures.keys():
@@ -139,8 +139,21 @@ class Gui:
                 entry = {"binding": 0, "resource": view}
                 layout = backend._texture_bind_group_layout
                 setattr(view, _BOUND, backend._device.create_bind_group(layout=layout, entries=[entry]))
-        for layer in (self._marks, self._controls):
+        for layer in (self._marks, self._controls) if all else (self._marks,):
             layer.backend.render(layer.data, drawing)
+
+    def copy(self, encoder: Any, source: Any, to: Any) -> None:
+        """Copy what the windows of the controls cover from a texture to another one, both of the canvas's size."""
+        ratio, size = self._canvas.get_pixel_ratio(), to.size
+        for window in self._renderer.imgui_context.windows:
+            if window.active and not window.hidden and window.parent_window is None:
+                low, high = window.pos, window.pos + window.size
+                left, top = max(int(low.x * ratio), 0), max(int(low.y * ratio), 0)
+                columns = min(math.ceil(high.x * ratio), size[0]) - left
+                rows = min(math.ceil(high.y * ratio), size[1]) - top
+                if min(columns, rows) > 0:
+                    places = ({"texture": texture, "origin": (left, top, 0)} for texture in (source, to))
+                    encoder.copy_texture_to_texture(*places, (columns, rows, 1))
 
 
 FILLING = 0.004  # seconds of each frame for filling a volume's buffer
@@ -236,12 +249,13 @@ class Window(View):
         self._textures: tuple[Any, Any] | None = None
         self._laid = (0.0, 0.0, 0.0)
         self._followed = -math.inf  # when the controls were laid out
+        self._kept: Any = None  # in a drag, what the controls looked like then: a texture
         self._titled = ""
         self._typing = False  # whether the character of a key may follow
         self._context = canvas.get_wgpu_context()
         # sRGB goes to the screen as it is: a conversion to linear light and back would cost each pixel two powers.
         presented = self._context.get_preferred_format(device.adapter).removesuffix("-srgb")
-        self._context.configure(device=device, format=presented)
+        self._context.configure(device=device, format=presented, usage="RENDER_ATTACHMENT|COPY_SRC|COPY_DST")
         self._screen = Screen(self.gpu, presented)
         self._gui = Gui(self.gpu, canvas, presented, self._controls, lambda: overlay.draw(self), self.veil.textures)
         canvas.add_event_handler(self._stir, *_HANDS, "char", order=-100)
@@ -323,7 +337,7 @@ class Window(View):
         tools, (width, height) = self.tools, self.area
         ratio = self.canvas.get_pixel_ratio()
         if self._laid != (width, height, ratio):
-            self._laid, self._followed = (width, height, ratio), -math.inf
+            self._laid, self._kept = (width, height, ratio), None
             size = {"width": width, "height": height, "top": TOP, "pixel_ratio": ratio}
             tools.handle({"event_type": "resize", **size})
         if isinstance(tools, VideoTools):
@@ -336,9 +350,9 @@ class Window(View):
         slow = anew and isinstance(self.stage, VolumeStage) and self.stage.is_slow(bent)
         rests = slow and tools.dragging and self._lately  # the image waits until the pointer rests
         self.computing = slow and not rests and not self.computing
-        if all_of_it := not (tools.dragging and self._lately) or self.computing or begun > self._followed + FOLLOWED:
-            self._followed = begun
-        self._gui.lay(all=all_of_it)
+        if not tools.dragging or not self._lately or self.computing or begun > self._followed + FOLLOWED:
+            self._followed, self._kept = begun, None
+        self._gui.lay(all=self._kept is None)
         if self._gui.trouble:
             self.commands.message = self._gui.trouble
         encoder = self.gpu.device.create_command_encoder()
@@ -372,8 +386,13 @@ class Window(View):
                 self._screen.draw(drawing, *self._textures, self.tools.split or 0.0, place, self.painter.part)
         if self.slices is not None and isinstance(self.tools, VolumeTools):
             self.slices.draw(drawing, onto.format, self.tools, shot.ratio, onto.size[:2])
-        self._gui.draw(drawing)
+        self._gui.draw(drawing, all=self._kept is None)
         drawing.end()
+        if self._kept is not None:
+            self._gui.copy(encoder, self._kept, onto)
+        elif self.tools.dragging:
+            self._kept = self.gpu.device.create_texture(size=onto.size, format=onto.format, usage="COPY_SRC|COPY_DST")
+            self._gui.copy(encoder, onto, self._kept)
         self.gpu.device.queue.submit([encoder.finish()])
 
     def _go_on(self, shot: Shot) -> None:
