@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 
 from supple.deformation import Deformation
+from supple.engine.work import Mattes
 from supple.gpu.device import Gpu, _know_types
 from supple.gpu.plate import OVERLAYS, Plate, Sight
 from supple.gpu.screen import canvas_texture, pixels_of
 from supple.space.freezing import Freeze
 from supple.strokes import Recipe, Stroke
-from supple.viewer.panels.stages import Levels, Warped, changed
+from supple.viewer.panels.stages import ImageStage, Levels, Warped, changed
 from supple.viewer.panels.view import TOP
 from tests.viewer.windows import Hand, opened
 
@@ -81,8 +82,13 @@ def test_only_what_a_drag_changes_is_warped(gpu: Gpu, noise: np.ndarray, monkeyp
     first = Stroke.grab((200, 150), by=(20, 10), radius=30)
     warped.bring(bent(first), sight)
     sizes = []
-    put = warped._laid.put
-    monkeypatch.setattr(warped._laid, "put", lambda at, pixels: (sizes.append(pixels.shape[:2]), put(at, pixels)))
+    warp = warped._warp
+
+    def counted(deformation: Deformation, sight: Sight, k: int, part: tuple[int, int, int, int]) -> None:
+        sizes.append((part[2] - part[0], part[3] - part[1]))
+        warp(deformation, sight, k, part)
+
+    monkeypatch.setattr(warped, "_warp", counted)
     d = bent(first, Stroke.grab((40, 40), by=(2, 1), radius=5))
     warped.bring(d, sight)
     warped.bring(d, sight)  # nothing is new
@@ -201,6 +207,23 @@ def test_only_what_has_changed_is_drawn_again(gpu: Gpu) -> None:
         red = np.full((ROWS, COLUMNS, 4), 7, np.uint8)
         layout = {"bytes_per_row": 4 * COLUMNS, "rows_per_image": ROWS}
         gpu.device.queue.write_texture({"texture": texture}, red, layout, (COLUMNS, ROWS, 1))
+
+
+def test_where_shaders_have_drawn_all_is_drawn_again(gpu: Gpu, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(gpu, "software", False)
+    pixels, held = smooth((ROWS, COLUMNS)), np.zeros((ROWS, COLUMNS), bool)
+    held[:40, :40] = True
+    first, frozen = Stroke.grab((150, 120), by=(14, 9), radius=40), Stroke.freeze(Freeze.of(held, width=12), ndim=2)
+    small = Stroke.grab((380, 280), by=(2, 1), radius=5)
+    masked, plain, more = bent(first, frozen, first), bent(small), bent(first, frozen, first, small)
+    stage, sight = ImageStage(gpu, "it", pixels), Sight((0.0, 0.0), 1.0, (COLUMNS, ROWS))
+    texture = canvas_texture(gpu, sight.size)
+    assert [isinstance(d.space.freeze, Mattes) for d in (masked, plain, more)] == [True, False, True]
+    for d in (masked, plain, more):
+        stage.expect((d,), sight)
+        stage.draw(d, sight, texture)
+    wanted = more.warp(pixels, alpha=False).astype(int)
+    assert np.abs(pixels_of(gpu, texture).astype(int) - wanted).max() <= 1
 
 
 @pytest.mark.parametrize("overlay", [name for name in OVERLAYS if name])

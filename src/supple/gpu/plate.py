@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,12 +15,9 @@ from supple.gpu.memory import Bound, Kept, room
 from supple.gpu.shader import CELL, module, shader, source
 
 Floats = npt.NDArray[np.float64]
-Box = tuple[float, float, float, float]  # x0, y0, and x1, y1
 
 BACK = (0.12, 0.12, 0.13)  # the sRGB background
 OVERLAYS = {"": 0, "grid": 1, "stretch": 2, "residual": 3, "inversions": 4}
-NOWHERE: Box = (math.inf, math.inf, -math.inf, -math.inf)
-EVERYWHERE: Box = (-math.inf, -math.inf, math.inf, math.inf)
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,20 +44,18 @@ class _Sheet:
         self.gpu, self.texture, self.view = gpu, texture, texture.create_view()
         self.buffers = {name: Kept(gpu) for name in ("settings", "domain", "strokes", "mask")}
         self.bound = Bound()
-        self.stale: Box = NOWHERE  # of pixels put since the last draw
         self._drawn: tuple[Any, ...] = (None, self, {}, b"")  # ``self`` is unlike any mask, and unlike None
 
-    def update(self, table: npt.NDArray[np.void], axes: Floats, freeze: Mask | None, settings: dict[str, Any]) -> bool:
-        """Upload changes since the last draw; return whether there are none. Identity tells tables and masks apart."""
+    def update(self, table: npt.NDArray[np.void], axes: Floats, freeze: Mask | None, settings: dict[str, Any]) -> None:
+        """Upload changes since the last draw. Identity tells tables and masks apart."""
         before, drawn = self._drawn, (table, freeze, settings, axes.tobytes())
         if before[0] is table and before[1] is freeze and before[2:] == drawn[2:]:
-            return True
+            return
         self.buffers["domain"].hold(domain(axes, freeze))
         self.buffers["strokes"].hold(packed(table))
         if before[1] is not freeze:
             self.buffers["mask"].hold(packed_mask(self.gpu, freeze))
         self._drawn = drawn
-        return False
 
 
 class _Drawn:
@@ -81,9 +75,6 @@ class _Drawn:
     def _settings(self) -> dict[str, Any]:
         """Return the image's settings for the shader."""
         raise NotImplementedError
-
-    def _box(self, sheet: _Sheet, sight: Sight, alike: bool) -> tuple[int, int, int, int]:
-        return 0, 0, *sight.size
 
     def draw(
         self,
@@ -124,13 +115,10 @@ class _Drawn:
             "DRAGGED": not sight.solved and sight.overlay not in ("residual", "inversions"),
             "LAID": self._laid,
         }
-        x0, y0, x1, y1 = self._box(sheet, sight, sheet.update(table, axes, freeze, settings | chosen))
-        sheet.stale = NOWHERE
-        if x0 >= x1 or y0 >= y1:
-            return
+        sheet.update(table, axes, freeze, settings | chosen)
         text = source("plate")
         made = module(gpu, text)
-        sheet.buffers["settings"].hold(made.values(settings | {"first": (x0, y0)}))
+        sheet.buffers["settings"].hold(made.values(settings))
         given = {name: kept.buffer for name, kept in sheet.buffers.items()}
         given |= {"nodes": self._nodes[1], "target_": sheet.view, **self._resources()}
         commands = encoder or gpu.device.create_command_encoder()
@@ -140,7 +128,7 @@ class _Drawn:
             step.set_pipeline(shader(gpu, text, "solve", constants(table, freeze)).pipeline)
             step.dispatch_workgroups(-(-columns // 8), -(-rows // 8), 1)
         step.set_pipeline(shader(gpu, text, "paint", chosen).pipeline)
-        step.dispatch_workgroups(-(-(x1 - x0) // 8), -(-(y1 - y0) // 8), 1)
+        step.dispatch_workgroups(-(-sight.size[0] // 8), -(-sight.size[1] // 8), 1)
         step.end()
         if encoder is None:
             gpu.device.queue.submit([commands.finish()])
@@ -154,59 +142,21 @@ class _Drawn:
         return self._sheets[-1]
 
 
-class Laid(_Drawn):
-    """A part of an image that is already warped, at one scale: strokes are for the overlay only."""
+class Overlay(_Drawn):
+    """An overlay on images that are drawn already."""
 
     _laid = True
 
     def __init__(self, gpu: Gpu, size: tuple[int, int]) -> None:
         super().__init__(gpu, size)
-        self._corner, self._step = (0, 0), 1
-        self._texture: Any = None
-        self._view: Any = None
-
-    def clear(self, corner: tuple[int, int], size: tuple[int, int], step: int) -> None:
-        """Make room for a part: its first pixel, its columns and rows, and the image's pixels along a side of one."""
-        self._corner, self._step = corner, step
-        if self._texture is None or self._texture.size[:2] != size:
-            self._texture = self.gpu.device.create_texture(
-                size=(*size, 1), format="rgba8unorm", usage="TEXTURE_BINDING|COPY_DST"
-            )
-            self._view = self._texture.create_view()
-        for sheet in self._sheets:
-            sheet.stale = EVERYWHERE
-
-    def put(self, corner: tuple[int, int], pixels: npt.NDArray[np.uint8]) -> None:
-        """Hold pixels, of shape (rows, columns, 4): sRGB and opacity; the corner is their place in the whole image."""
-        height, width = pixels.shape[:2]
-        origin = (corner[0] - self._corner[0], corner[1] - self._corner[1], 0)
-        self.gpu.device.queue.write_texture(
-            {"texture": self._texture, "origin": origin},
-            np.ascontiguousarray(pixels),
-            {"bytes_per_row": 4 * width, "rows_per_image": height},
-            (width, height, 1),
-        )
-        for sheet in self._sheets:
-            x0, y0, x1, y1 = sheet.stale
-            x, y = corner
-            sheet.stale = min(x0, x), min(y0, y), max(x1, x + width), max(y1, y + height)
-
-    def _box(self, sheet: _Sheet, sight: Sight, alike: bool) -> tuple[int, int, int, int]:
-        if not alike:
-            return 0, 0, *sight.size
-        ends = []
-        for k, place in enumerate(sheet.stale):
-            beyond = -1.5 if k < 2 else 0.5  # interpolation spreads a pixel as far as its neighbours' centres
-            seen = ((place + beyond + 0.5) * self._step - 0.5 - sight.origin[k % 2]) / sight.scale
-            end = min(max(seen + (-2 if k < 2 else 2), 0.0), float(sight.size[k % 2]))  # within a footprint
-            ends.append(math.floor(end) if k < 2 else math.ceil(end))
-        return ends[0], ends[1], ends[2], ends[3]
+        self.under: Any = None
+        """A view of the texture of the image, which has the size of what is drawn."""
 
     def _resources(self) -> dict[str, Any]:
-        return {"pixels": None, "laid": self._view}
+        return {"pixels": None, "laid": self.under}
 
     def _settings(self) -> dict[str, Any]:
-        return {"corner": self._corner, "step": self._step, "frames": 1, "levels": 1}
+        return {"frames": 1, "levels": 1}
 
 
 class Plate(_Drawn):

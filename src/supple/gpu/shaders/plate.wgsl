@@ -22,22 +22,19 @@ struct Settings {
     strokes: u32,
     overlay: u32,
     every: f32, // pixels from line to line of a grid
-    corner: vec2f, // of an image that is warped already: the position of the first pixel held, in pixels as held
-    first: vec2u, // the first pixel to draw
     back: vec4f, // behind the image; and the width of the checkerboard squares behind transparent pixels
-    step: f32, // of an image that is warped already: pixels of the image along the side of a pixel held
 }
 
 var<uniform> settings: Settings;
 var<storage, read_write> nodes: array<vec4f>; // three for each: (w, residual), (∂p/∂x, steps), (∂p/∂y, 0)
 var<storage, read> pixels: array<u32>; // sRGB and opacity, of 8 bits each
-var laid: texture_2d<f32>; // the pixels held of an image that is warped already
+var laid: texture_2d<f32>; // an image that is drawn already
 var target_: texture_storage_2d<rgba8unorm, write>;
 
 // These are constants, since software GPUs run both sides of a branch, and all threads as often as the longest loop.
 override BENT: bool = true; // true if there are strokes
 override DRAGGED: bool = false; // true if one sample for each pixel will do, with T⁻¹ interpolated between nodes
-override LAID: bool = false; // true if the image is warped already, and strokes are for the overlay
+override LAID: bool = false; // true if the image is drawn already, and strokes are for the overlay
 
 const GRID = 1u;
 const STRETCH = 2u;
@@ -114,27 +111,22 @@ fn source_of(at: vec2f) -> Seen {
 
 // A pixel of a level of a frame, weighted by its opacity.
 fn texel(at: vec2i, level: u32, frame: i32) -> vec4f {
-    var v: vec4f;
-    if (LAID) {
-        v = textureLoad(laid, clamp(at, vec2i(0), vec2i(textureDimensions(laid)) - 1), 0);
-    } else {
-        var size = settings.source;
-        var start = 0u;
-        for (var k = 0u; k < level; k++) {
-            start += size.x * size.y;
-            size = (size + 1u) / 2u;
-        }
-        let kept = vec2u(clamp(at, vec2i(0), vec2i(size) - 1));
-        // The frames held are in a ring.
-        let here = clamp(frame, i32(settings.earliest), i32(settings.earliest + settings.held) - 1);
-        let slot = u32(here) % settings.slots;
-        v = unpack4x8unorm(pixels[slot * settings.stride + start + kept.y * size.x + kept.x]);
+    var size = settings.source;
+    var start = 0u;
+    for (var k = 0u; k < level; k++) {
+        start += size.x * size.y;
+        size = (size + 1u) / 2u;
     }
+    let kept = vec2u(clamp(at, vec2i(0), vec2i(size) - 1));
+    // The frames held are in a ring.
+    let here = clamp(frame, i32(settings.earliest), i32(settings.earliest + settings.held) - 1);
+    let slot = u32(here) % settings.slots;
+    let v = unpack4x8unorm(pixels[slot * settings.stride + start + kept.y * size.x + kept.x]);
     return vec4f(v.xyz * v.w, v.w);
 }
 
 fn linear_at(p: vec2f, level: u32, frame: i32) -> vec4f {
-    let q = (p + 0.5) / select(f32(1u << level), settings.step, LAID) - 0.5 - settings.corner;
+    let q = (p + 0.5) / f32(1u << level) - 0.5;
     let whole = floor(clamp(q, vec2f(-1e6), vec2f(1e6)));
     let part = q - whole;
     let i = vec2i(whole);
@@ -166,9 +158,31 @@ fn warm(x: f32) -> vec3f {
     return mix(vec3f(0.10, 0.25, 0.75), vec3f(0.95, 0.35, 0.10), clamp(x, 0.0, 1.0));
 }
 
+// The image at a point of a frame, averaged over a footprint that covers so many of its pixels; over a checkerboard
+// where it is transparent.
+fn image(id: vec2u, p: vec2f, right: vec2f, below: vec2f, covers: f32, time: f32) -> vec3f {
+    if (LAID) {
+        return textureLoad(laid, id, 0).xyz;
+    }
+    let levels = log2(max(covers, 1e-6)) - select(1.0, 0.5, DRAGGED);
+    let level = u32(clamp(ceil(levels - 0.5), 0.0, f32(settings.levels - 1u)));
+    let taps = select(u32(clamp(ceil(covers / f32(1u << level) - 0.1), 1.0, 4.0)), 1u, DRAGGED);
+    var total = vec4f(0.0);
+    for (var j = 0u; j < taps; j++) {
+        for (var i = 0u; i < taps; i++) {
+            let s = (vec2f(vec2u(i, j)) + 0.5) / f32(taps) - 0.5;
+            total += at_time(p + s.x * right + s.y * below, level, time);
+        }
+    }
+    total /= f32(taps * taps);
+    let square = vec2u((vec2f(id) + 0.5) / settings.back.w);
+    let ground = select(0.42, 0.58, ((square.x + square.y) & 1u) == 0u);
+    return total.xyz + (1.0 - total.w) * ground;
+}
+
 @compute @workgroup_size(8, 8)
 fn paint(@builtin(global_invocation_id) thread: vec3u) {
-    let id = settings.first + thread.xy;
+    let id = thread.xy;
     if (id.x >= settings.size.x || id.y >= settings.size.y) {
         return;
     }
@@ -186,26 +200,7 @@ fn paint(@builtin(global_invocation_id) thread: vec3u) {
     let right = settings.scale * seen.right.xy * domain.spacing.x / domain.spacing.xy;
     let below = settings.scale * seen.below.xy * domain.spacing.y / domain.spacing.xy;
     let covers = max(length(right), length(below));
-    let levels = log2(max(covers, 1e-6)) - select(1.0, 0.5, DRAGGED);
-    let level = u32(clamp(ceil(levels - 0.5), 0.0, f32(settings.levels - 1u)));
-    // The footprint to sample, and its size in samples: for an image that is warped already, a pixel of the window.
-    let middle = select(p, q, LAID);
-    let across = select(right, vec2f(settings.scale, 0.0), LAID);
-    let down = select(below, vec2f(0.0, settings.scale), LAID);
-    let count = select(covers / f32(1u << level), settings.scale / settings.step, LAID);
-    let taps = select(u32(clamp(ceil(count - 0.1), 1.0, 4.0)), 1u, DRAGGED);
-    var total = vec4f(0.0);
-    for (var j = 0u; j < taps; j++) {
-        for (var i = 0u; i < taps; i++) {
-            let s = (vec2f(vec2u(i, j)) + 0.5) / f32(taps) - 0.5;
-            total += at_time(middle + s.x * across + s.y * down, level, time);
-        }
-    }
-    total /= f32(taps * taps);
-    // Transparent pixels are drawn over a checkerboard.
-    let square = vec2u((vec2f(id) + 0.5) / settings.back.w);
-    let ground = select(0.42, 0.58, ((square.x + square.y) & 1u) == 0u);
-    var shown = total.xyz + (1.0 - total.w) * ground;
+    var shown = image(id, p, right, below, covers, time);
     if (settings.overlay == GRID) {
         let lines = abs(p / settings.every - round(p / settings.every)) * settings.every / max(covers, 1e-6);
         shown = mix(vec3f(1.0), shown, clamp(min(lines.x, lines.y) - 0.2, 0.25, 1.0));

@@ -24,7 +24,8 @@ from supple.errors import SuppleError
 from supple.files.clips import open_clip
 from supple.files.options import PathLike
 from supple.gpu.device import Gpu
-from supple.gpu.plate import BACK, Laid, Plate, Sight, halved
+from supple.gpu.plate import BACK, Overlay, Plate, Sight, halved
+from supple.gpu.screen import canvas_texture
 from supple.media.image import Picture
 from supple.media.sequence import Pictures
 from supple.media.volume import Volume
@@ -203,6 +204,8 @@ _NOTHING: Rectangle = (1 << 30, 1 << 30, 0, 0)
 
 CELL = 32  # pixels: the core solves cells of this side as a whole
 _ROUGH = Sampling("cubic", tolerance=0.1)  # while a hand drags: the footprint takes more than half of the time
+_LINEAR = Sampling("linear")  # from pixels to those of the window, while a hand drags or where they are enlarged
+_ALIGNED = 1e-3  # pixels between the pixels of a level and those of the window that count as none
 _EDGE = 4  # pixels beyond those that the window shows, for the filter of its last ones
 _SMALLEST = 256  # pixels of the longer side of the smallest level
 
@@ -229,13 +232,17 @@ class Levels:
 
 
 class Warped:
-    """The visible part of an image, warped as `Deformation.warp` does it."""
+    """The visible part of an image, warped as `Deformation.warp` does it, and then scaled."""
 
     def __init__(self, gpu: Gpu, levels: Levels) -> None:
-        self._levels = levels
-        self._laid = Laid(gpu, levels.at(0)[0].shape[1::-1])
-        self._place: tuple[int, Rectangle] | None = None  # the level and the part that are held
+        self._gpu, self._levels = gpu, levels
+        self._place: tuple[int, Rectangle] = 0, _NOTHING  # the level and the part that are held
+        self._pixels: Pixels = np.empty((0, 0, 4), np.uint8)  # of that part
+        self._map: tuple[object, Space, Grid] | None = None  # from that part to a window, and the window's grid
         self._rough: Rectangle = _NOTHING  # around the parts warped during a drag, which are warped again after it
+        self._drawn: dict[Any, tuple[object, Rectangle]] = {}  # what each texture shows, and what is warped anew since
+        self._overlay = Overlay(gpu, levels.at(0)[0].shape[1::-1])
+        self._plain: Any = None  # the texture of what lies under an overlay
         self.shown: Deformation | None = None
 
     def bring(self, deformation: Deformation, sight: Sight) -> None:
@@ -245,18 +252,19 @@ class Warped:
         place = k, _visible(sight, k, source.shape)
         stale = x0, y0, x1, y1 = place[1]
         if self.shown is None or place != self._place:
-            self._laid.clear((x0, y0), (x1 - x0, y1 - y0), 2**k)
+            self._pixels = np.empty((y1 - y0, x1 - x0, 4), np.uint8)
             self._rough = _NOTHING
+            self._drawn.clear()
         else:
             anew = (
                 _cells(changed(self.shown.space, deformation.space), k) if deformation is not self.shown else _NOTHING
             )
             stale = _common(stale, _around(anew, self._rough) if sight.solved else anew)
         self._place, self.shown = place, deformation
-        x0, y0, x1, y1 = stale
-        if x0 < x1 and y0 < y1:
+        if stale[0] < stale[2] and stale[1] < stale[3]:
             self._rough = _NOTHING if sight.solved else _around(self._rough, stale)
             self._warp(deformation, sight, k, stale)
+            self._drawn = {texture: (how, _around(known, stale)) for texture, (how, known) in self._drawn.items()}
 
     def _warp(self, deformation: Deformation, sight: Sight, k: int, part: Rectangle) -> None:
         source, grid = self._levels.at(k)
@@ -266,14 +274,78 @@ class Warped:
         else:
             space = replace(_reduced(deformation, k, source.shape), grid=grid.crop((x0, y0), (x1 - x0, y1 - y0)))
             made, _ = warp_array(source, space, DEFAULT if sight.solved else _ROUGH, alpha=self._levels.has_alpha)
-        self._laid.put((x0, y0), made)
+        left, top, _, _ = self._place[1]
+        self._pixels[y0 - top : y1 - top, x0 - left : x1 - left] = made
 
     def draw(self, sight: Sight, texture: Any, encoder: Any = None) -> None:
-        """Draw the warped part, perhaps more coarsely, into a texture; see `Plate.draw`."""
+        """Draw the part, scaled, into a texture of format rgba8unorm; an overlay is recorded into the encoder."""
         assert self.shown is not None
-        space = self.shown.space  # for the overlay
-        table = space.table if sight.overlay else _PLAIN
-        self._laid.draw(sight, table, space.axes, texture, encoder, shown_mask(space.freeze))
+        if not sight.overlay:
+            self._write(sight, texture)
+            return
+        self.forget(texture)
+        if self._plain is None or self._plain.size[:2] != sight.size:
+            self._plain = canvas_texture(self._gpu, sight.size)
+            self._overlay.under = self._plain.create_view()
+        self._write(sight, self._plain)
+        space = self.shown.space
+        self._overlay.draw(sight, space.table, space.axes, texture, encoder, shown_mask(space.freeze))
+
+    def forget(self, texture: Any) -> None:
+        """Draw all of a texture the next time, since something else was drawn into it."""
+        self._drawn.pop(texture, None)
+
+    def _write(self, sight: Sight, texture: Any) -> None:
+        """Write those pixels of a texture that differ from what a sight shows."""
+        (columns, rows), step = sight.size, 2 ** self._place[0]
+        how = self._place, sight.origin, sight.scale, sight.size, sight.square, sight.solved
+        known, stale = self._drawn.get(texture, (None, _NOTHING))
+        self._drawn[texture] = how, _NOTHING
+        ends = []  # the pixels within the image, and those that its stale part reaches by the filter
+        for axis, (origin, n) in enumerate(zip(sight.origin, self._levels.at(0)[0].shape[1::-1], strict=True)):
+            inside = [math.ceil((end - 0.5 - origin) / sight.scale) for end in (0, n)]
+            places = (stale[axis] - 1.0, stale[2 + axis] + 1.0)
+            low, high = (((place * step - 0.5) - origin) / sight.scale for place in places)
+            ends.append((max(inside[0], 0), min(inside[1], sight.size[axis]), math.floor(low) - 2, math.ceil(high) + 2))
+        (x0, x1, left, right), (y0, y1, top, bottom) = ends
+        part = x0, y0, x1, y1
+        if known == how:
+            part = x0, y0, x1, y1 = _common(part, (left, top, right, bottom))
+        there = x0 < x1 and y0 < y1
+        made = self._scaled(sight, part) if there else None
+        if known != how:
+            whole = np.full((rows, columns, 4), [round(255 * v) for v in (*sight.back, 1.0)], np.uint8)
+            if made is not None:
+                whole[y0:y1, x0:x1] = made
+            filled(self._gpu, texture, whole)
+        elif made is not None:
+            filled(self._gpu, texture, made, (x0, y0))
+
+    def _scaled(self, sight: Sight, part: Rectangle) -> Pixels:
+        """Return a part of what a sight shows, in pixels of the window, over a checkerboard where it is transparent."""
+        k, (left, top, *_) = self._place
+        ratio, (x0, y0, x1, y1) = sight.scale / 2**k, part
+        first = [(at + 0.5) / 2**k - 0.5 - corner for at, corner in zip(sight.origin, (left, top), strict=True)]
+        nearest = [round(at) for at in first]
+        if ratio == 1 and max(abs(at - whole) for at, whole in zip(first, nearest, strict=True)) < _ALIGNED:
+            made = self._pixels[nearest[1] + y0 : nearest[1] + y1, nearest[0] + x0 : nearest[0] + x1]
+        else:
+            how = self._place, sight.origin, sight.scale, sight.size
+            if self._map is None or self._map[0] != how:
+                grid = Grid(sight.size[::-1], ratio, first)
+                self._map = how, Deformation(self._pixels.shape[:2], border=None).space_on(grid), grid
+            space = replace(self._map[1], grid=self._map[2].crop((x0, y0), (x1 - x0, y1 - y0)))
+            sampling = DEFAULT if sight.solved and ratio > 1 else _LINEAR
+            made, _ = warp_array(self._pixels, space, sampling, alpha=self._levels.has_alpha)
+        if not self._levels.has_alpha:
+            return made
+        y, x = np.ogrid[y0:y1, x0:x1]
+        square = max(sight.square, 1.0)
+        odd = ((x + 0.5) // square + (y + 0.5) // square) % 2 > 0
+        opacity = made[..., 3:] / np.float32(255)
+        solid = np.full_like(made, 255)
+        solid[..., :3] = np.rint(made[..., :3] * opacity + np.where(odd, 107, 148)[..., None] * (1 - opacity))
+        return solid
 
 
 def changed(before: Space, after: Space) -> tuple[Floats, Floats]:
@@ -417,8 +489,12 @@ class ImageStage:
 
     def draw(self, deformation: Deformation, sight: Sight, texture: Any, encoder: Any = None) -> bool:
         """Draw the visible part, or record it into an encoder; return whether it is complete."""
-        if self._warps(deformation):
-            next(warped for warped in self._warped if warped.shown is deformation).draw(sight, texture, encoder)
+        own = next((w for w in self._warped if w.shown is deformation), None) if self._warps(deformation) else None
+        for warped in self._warped:
+            if warped is not own:
+                warped.forget(texture)
+        if own is not None:
+            own.draw(sight, texture, encoder)
         else:
             self._drawn(deformation, sight, texture, encoder)
         return True
@@ -723,12 +799,16 @@ class VolumeStage:
         return f"({place}) mm {geometry.convention}"
 
 
-def filled(gpu: Gpu, texture: Any, pixels: Pixels) -> Any:
-    """Return a texture with pixels (rows, columns, 4): the given one, or a new one if there is none of their size."""
+def filled(gpu: Gpu, texture: Any, pixels: Pixels, corner: Span | None = None) -> Any:
+    """Return a texture with pixels (rows, columns, 4): the given one, or a new one if there is none of their size.
+
+    With a corner, they are a part of the given texture, whose first column and row it is.
+    """
     rows, columns = pixels.shape[:2]
-    if texture is None or texture.size[:2] != (columns, rows):
+    if corner is None and (texture is None or texture.size[:2] != (columns, rows)):
         usage = "TEXTURE_BINDING|COPY_DST"
         texture = gpu.device.create_texture(size=(columns, rows, 1), format="rgba8unorm", usage=usage)
+    place = {"texture": texture, "origin": (*(corner or (0, 0)), 0)}
     layout = {"bytes_per_row": 4 * columns, "rows_per_image": rows}
-    gpu.device.queue.write_texture({"texture": texture}, pixels, layout, (columns, rows, 1))
+    gpu.device.queue.write_texture(place, np.ascontiguousarray(pixels), layout, (columns, rows, 1))
     return texture
