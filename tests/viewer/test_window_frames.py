@@ -18,7 +18,7 @@ from supple.media import image
 from supple.strokes import Recipe, Stroke
 from supple.viewer.panels import stages
 from supple.viewer.panels import view as views
-from supple.viewer.panels.view import TOP
+from supple.viewer.panels.view import LINE, TOP
 from supple.viewer.window import window
 from tests.clips import make
 from tests.viewer.windows import Hand, in_pixels, opened, small_photo, wait_for
@@ -354,6 +354,9 @@ def test_controls_follow_a_drag_a_few_times_a_second_and_marks_at_once(
     assert laid == ["_marks"] * 3
     width = int(view.area[0])
     np.testing.assert_array_equal(after[:, width:], before[:, width:])  # the panel is still there
+    for rows in (slice(TOP), slice(-LINE, None)):  # and so are the menu and the status line
+        np.testing.assert_array_equal(after[rows], before[rows])
+        assert len(np.unique(after[rows, :300])) > 20
     assert (after[:, :width] != before[:, :width]).any()
     for module, name, seconds in ((window, "FOLLOWED", 0.0), (views, "SETTLED", -1.0)):
         with monkeypatch.context() as now:
