@@ -274,7 +274,7 @@ class Warped:
         else:
             space = replace(_reduced(deformation, k, source.shape), grid=grid.crop((x0, y0), (x1 - x0, y1 - y0)))
             made, _ = warp_array(source, space, DEFAULT if sight.solved else _ROUGH, alpha=self._levels.has_alpha)
-        left, top, _, _ = self._place[1]
+        left, top, *_ = self._place[1]
         self._pixels[y0 - top : y1 - top, x0 - left : x1 - left] = made
 
     def draw(self, sight: Sight, texture: Any, encoder: Any = None) -> None:
@@ -297,29 +297,19 @@ class Warped:
 
     def _write(self, sight: Sight, texture: Any) -> None:
         """Write those pixels of a texture that differ from what a sight shows."""
-        (columns, rows), step = sight.size, 2 ** self._place[0]
         how = self._place, sight.origin, sight.scale, sight.size, sight.square, sight.solved
         known, stale = self._drawn.get(texture, (None, _NOTHING))
         self._drawn[texture] = how, _NOTHING
-        ends = []  # the pixels within the image, and those that its stale part reaches by the filter
-        for axis, (origin, n) in enumerate(zip(sight.origin, self._levels.at(0)[0].shape[1::-1], strict=True)):
-            inside = [math.ceil((end - 0.5 - origin) / sight.scale) for end in (0, n)]
-            places = (stale[axis] - 1.0, stale[2 + axis] + 1.0)
-            low, high = (((place * step - 0.5) - origin) / sight.scale for place in places)
-            ends.append((max(inside[0], 0), min(inside[1], sight.size[axis]), math.floor(low) - 2, math.ceil(high) + 2))
-        (x0, x1, left, right), (y0, y1, top, bottom) = ends
-        part = x0, y0, x1, y1
+        height, width = self._levels.at(0)[0].shape[:2]
+        part = _common(_of_window(sight, (0, 0, width, height), 0), (0, 0, *sight.size))
         if known == how:
-            part = x0, y0, x1, y1 = _common(part, (left, top, right, bottom))
-        there = x0 < x1 and y0 < y1
-        made = self._scaled(sight, part) if there else None
-        if known != how:
-            whole = np.full((rows, columns, 4), [round(255 * v) for v in (*sight.back, 1.0)], np.uint8)
-            if made is not None:
-                whole[y0:y1, x0:x1] = made
-            filled(self._gpu, texture, whole)
-        elif made is not None:
-            filled(self._gpu, texture, made, (x0, y0))
+            part = _common(part, _grown(_of_window(sight, _grown(stale, 1), self._place[0]), 3))  # as filters reach
+        else:
+            back = [round(255 * v) for v in (*sight.back, 1.0)]
+            filled(self._gpu, texture, np.full((*sight.size[::-1], 4), back, np.uint8))
+        x0, y0, x1, y1 = part
+        if x0 < x1 and y0 < y1:
+            filled(self._gpu, texture, self._scaled(sight, part), (x0, y0))
 
     def _scaled(self, sight: Sight, part: Rectangle) -> Pixels:
         """Return a part of what a sight shows, in pixels of the window, over a checkerboard where it is transparent."""
@@ -411,6 +401,16 @@ def _visible(sight: Sight, k: int, shape: tuple[int, ...]) -> Rectangle:
         found.append((first, min(max(math.ceil(high) + _EDGE, first + 1), most)))
     (x0, x1), (y0, y1) = found
     return x0, y0, x1, y1
+
+
+def _of_window(sight: Sight, part: Rectangle, k: int) -> Rectangle:
+    """Return the pixels of the window whose centres lie within a part of a level."""
+    x0, y0, x1, y1 = (math.ceil((edge * 2**k - 0.5 - sight.origin[n % 2]) / sight.scale) for n, edge in enumerate(part))
+    return x0, y0, x1, y1
+
+
+def _grown(part: Rectangle, by: int) -> Rectangle:
+    return part[0] - by, part[1] - by, part[2] + by, part[3] + by
 
 
 def _common(one: Rectangle, other: Rectangle) -> Rectangle:
