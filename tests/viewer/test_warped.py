@@ -11,7 +11,7 @@ from supple.deformation import Deformation
 from supple.engine.work import Mattes
 from supple.gpu.device import Gpu, _know_types
 from supple.gpu.plate import OVERLAYS, Plate, Sight
-from supple.gpu.screen import canvas_texture, pixels_of
+from supple.gpu.screen import SWAPPED, canvas_texture, pixels_of
 from supple.space.freezing import Freeze
 from supple.strokes import Recipe, Stroke
 from supple.viewer.panels.stages import ImageStage, Levels, Warped, changed
@@ -272,6 +272,17 @@ def test_during_a_drag_pixels_are_near_those_of_the_export_and_the_same_after_it
     seen = view.pixels()
     assert np.quantile(np.abs(seen - wanted[..., :3]), 0.98) <= (0 if software else 5)
     assert not hasattr(view.stage, "_plate") or not software
+
+
+def test_colours_are_the_same_on_screens_that_swap_red_and_blue(gpu: Gpu) -> None:
+    pixels = smooth((ROWS, COLUMNS))[..., :3]
+    view, hand = opened(pixels, Recipe(border=None, strokes=(Stroke.grab((200, 150), by=(30, 10), radius=40),)))
+    hand.canvas.draw()
+    wanted = view.pixels()
+    assert (wanted[..., 0] != wanted[..., 2]).any()
+    view.painter.format = SWAPPED
+    np.testing.assert_array_equal(view.pixels(), wanted)
+    assert view.gpu.software == (view.painter.paint(view._shot(moving=False))[0].format == SWAPPED)
 
 
 def test_types_of_c_are_those_that_cffi_would_parse(gpu: Gpu) -> None:

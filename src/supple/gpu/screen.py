@@ -18,13 +18,13 @@ The last three are the divisor of these, for perspective: at that corner, and it
 """
 ALL: Part = (0.0, 0.0, 1.0, 0.0, 0.0, 1.0, 1.0, 0.0, 0.0)
 
-PLAIN = "rgba8unorm"
+PLAIN, SWAPPED = "rgba8unorm", "bgra8unorm"
 
 
-def canvas_texture(gpu: Gpu, size: tuple[int, int]) -> Any:
-    """Return a texture of columns and rows for scenes and plates, which the screen can read."""
-    usage = "STORAGE_BINDING|TEXTURE_BINDING|COPY_SRC|COPY_DST"
-    return gpu.device.create_texture(size=(*size, 1), format=PLAIN, usage=usage)
+def canvas_texture(gpu: Gpu, size: tuple[int, int], format: str = PLAIN) -> Any:
+    """Return a texture of columns and rows, which the screen can read; scenes and plates draw into `PLAIN` ones."""
+    usage = "TEXTURE_BINDING|COPY_SRC|COPY_DST" + ("|STORAGE_BINDING" if format == PLAIN else "")
+    return gpu.device.create_texture(size=(*size, 1), format=format, usage=usage)
 
 
 def pixels_of(gpu: Gpu, texture: Any) -> np.ndarray[Any, np.dtype[np.uint8]]:
@@ -48,6 +48,11 @@ def composed(gpu: Gpu, size: tuple[int, int], draw: Callable[[Any], None]) -> np
     return pixels_of(gpu, onto)
 
 
+def covers(texture: Any, size: tuple[int, ...], part: Part) -> bool:
+    """Return whether a part of a texture covers a place of ``size`` (columns, rows) pixel by pixel."""
+    return texture.size[:2] == size and max(abs(a - b) for a, b in zip(part, ALL, strict=True)) < 1e-5
+
+
 class Screen:
     """A painter of textures onto a surface of some format, in sRGB, by the ``"linear"`` or ``"nearest"`` filter."""
 
@@ -56,18 +61,18 @@ class Screen:
         self._module = module(gpu, source("screen"))
         code, layout = self._module.code, self._module.layout
         self._pipelines = {
-            (split, whole): gpu.device.create_render_pipeline(
+            split: gpu.device.create_render_pipeline(
                 layout=gpu.device.create_pipeline_layout(bind_group_layouts=[layout]),
                 vertex={"module": code, "entry_point": "corner"},
                 fragment={
                     "module": code,
                     "entry_point": "shown",
                     "targets": [{"format": format}],
-                    "constants": {"SPLIT": split, "WHOLE": whole},
+                    "constants": {"SPLIT": split},
                 },
                 primitive={"topology": "triangle-list"},
             )
-            for split, whole in ((False, False), (True, False), (False, True))
+            for split in (False, True)
         }
         self._settings, self._bound = Kept(gpu), Bound()
 
@@ -85,14 +90,9 @@ class Screen:
         The place on the surface is its left, top, columns and rows; by default, all of it.
         """
         split = split if second is not None else -1.0
-        upright = max(abs(a - b) for a, b in zip(part, ALL, strict=True)) < 1e-5  # a hundredth of a pixel
-        whole = upright and place is not None and second is None and first.size[:2] == place[2:]
-        first_pixel = place[:2] if place else (0, 0)
-        values = self._module.values(
-            {"sides": part[2:6], "corner": part[:2], "depth": part[6:], "split": split, "place": first_pixel}
-        )
+        values = self._module.values({"sides": part[2:6], "corner": part[:2], "depth": part[6:], "split": split})
         given = {"settings": self._settings.hold(values), "first": first, "second": second or first}
-        drawing.set_pipeline(self._pipelines[second is not None, whole])
+        drawing.set_pipeline(self._pipelines[second is not None])
         if place is not None:
             drawing.set_viewport(*place, 0.0, 1.0)
         drawing.set_bind_group(0, self._bound.group(given, self._group))

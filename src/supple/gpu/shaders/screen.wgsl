@@ -3,16 +3,14 @@
 struct Settings {
     sides: vec4f, // the sides of the visible part of the textures, across and down the screen
     depth: vec3f, // the divisor, for perspective: at the upper left of the screen, and its changes across and down
-    place: vec2f, // the first pixel of the screen
     corner: vec2f, // the corner of the visible part at the upper left of the screen
     split: f32, // the right edge of the second texture, from 0 to 1
 }
 
 const LINE: f32 = 0.001; // half the width of the line between them
 
-// These are constants, as software GPUs would sample both textures everywhere, and mix pixels that are whole.
+// This is a constant, as software GPUs would sample both textures everywhere.
 override SPLIT: bool = true;
-override WHOLE: bool = false; // true if each pixel of the texture is one of the screen
 
 var<uniform> settings: Settings;
 var first: texture_2d<f32>;
@@ -32,9 +30,6 @@ fn corner(@builtin(vertex_index) k: u32) -> Corner {
 
 @fragment
 fn shown(corner: Corner) -> @location(0) vec4f {
-    if (WHOLE) {
-        return vec4f(textureLoad(first, vec2i(corner.position.xy - settings.place), 0).xyz, 1.0);
-    }
     let depth = max(settings.depth.x + dot(settings.depth.yz, corner.at), 1e-3); // nothing lies beyond a horizon
     let at = (settings.corner + settings.sides.xy * corner.at.x + settings.sides.zw * corner.at.y) / depth;
     var v = textureSampleLevel(first, smooth_, at, 0.0).xyz;

@@ -25,7 +25,7 @@ from supple.files.clips import open_clip
 from supple.files.options import PathLike
 from supple.gpu.device import Gpu
 from supple.gpu.plate import BACK, Overlay, Plate, Sight, halved
-from supple.gpu.screen import canvas_texture
+from supple.gpu.screen import SWAPPED, canvas_texture
 from supple.media.image import Picture
 from supple.media.sequence import Pictures
 from supple.media.volume import Volume
@@ -278,7 +278,7 @@ class Warped:
         self._pixels[y0 - top : y1 - top, x0 - left : x1 - left] = made
 
     def draw(self, sight: Sight, texture: Any, encoder: Any = None) -> None:
-        """Draw the part, scaled, into a texture of format rgba8unorm; an overlay is recorded into the encoder."""
+        """Draw the part, scaled, into a texture; an overlay is recorded into the encoder."""
         assert self.shown is not None
         if not sight.overlay:
             self._write(sight, texture)
@@ -810,5 +810,9 @@ def filled(gpu: Gpu, texture: Any, pixels: Pixels, corner: Span | None = None) -
         texture = gpu.device.create_texture(size=(columns, rows, 1), format="rgba8unorm", usage=usage)
     place = {"texture": texture, "origin": (*(corner or (0, 0)), 0)}
     layout = {"bytes_per_row": 4 * columns, "rows_per_image": rows}
-    gpu.device.queue.write_texture(place, np.ascontiguousarray(pixels), layout, (columns, rows, 1))
+    pixels = np.ascontiguousarray(pixels)
+    if texture.format == SWAPPED:
+        words = pixels.view("<u4")
+        pixels = (words & 0xFF00FF00 | (words & 0xFF) << 16 | words >> 16 & 0xFF).view(np.uint8)
+    gpu.device.queue.write_texture(place, pixels, layout, (columns, rows, 1))
     return texture

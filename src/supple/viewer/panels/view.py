@@ -140,7 +140,8 @@ class Painter:
         """The pixels of the canvas for each drawn one, along each side, during a drag."""
         self.ready = True  # whether the last image is complete
         self.part: Part = ALL  # the visible part of the textures
-        self._textures: dict[tuple[int, tuple[int, int]], Any] = {}
+        self.format = PLAIN  # of the textures that the CPU draws
+        self._textures: dict[tuple[int, tuple[int, int], str], Any] = {}
         self._begun = 0.0  # when the device got its work
         self._adapts = True  # whether fewer pixels take less time
 
@@ -181,11 +182,13 @@ class Painter:
     def _drawn(self, k: int, shot: Shot, deformation: Deformation, encoder: Any) -> Any:
         stage, sight, coarse = self.stage, shot.sight, 1 if shot.sight.solved else self.coarse
         size = (max(1, -(-sight.size[0] // coarse)), max(1, -(-sight.size[1] // coarse)))
-        if (k, size) not in self._textures:
+        by_cpu = stage.previews if isinstance(stage, VolumeStage) else not self._adapts
+        key = k, size, self.format if by_cpu else PLAIN
+        if key not in self._textures:
             if len(self._textures) >= 8:
                 self._textures.clear()
-            self._textures[k, size] = canvas_texture(self.gpu, size)
-        texture = self._textures[k, size]
+            self._textures[key] = canvas_texture(self.gpu, *key[1:])
+        texture = self._textures[key]
         if isinstance(stage, VolumeStage):
             moving = not sight.solved
             stage.draw(deformation, shot.camera, size, texture, int(shot.original or k), moving=moving)
