@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,12 +11,13 @@ import pytest
 from supple.deformation import Deformation
 from supple.engine.work import Mattes
 from supple.gpu.device import Gpu, _know_types
-from supple.gpu.plate import OVERLAYS, Plate, Sight
+from supple.gpu.plate import OVERLAYS, Plate, Sight, halved
 from supple.gpu.screen import SWAPPED, canvas_texture, pixels_of
 from supple.space.freezing import Freeze
 from supple.strokes import Recipe, Stroke
-from supple.viewer.panels.stages import ImageStage, Levels, Warped, changed
+from supple.viewer.panels.stages import FrameCache, ImageStage, Levels, VideoStage, Warped, changed
 from supple.viewer.panels.view import TOP
+from tests.clips import make
 from tests.viewer.windows import Hand, opened
 
 ROWS, COLUMNS = 300, 410
@@ -224,6 +226,48 @@ def test_where_shaders_have_drawn_all_is_drawn_again(gpu: Gpu, monkeypatch: pyte
         stage.draw(d, sight, texture)
     wanted = more.warp(pixels, alpha=False).astype(int)
     assert np.abs(pixels_of(gpu, texture).astype(int) - wanted).max() <= 1
+
+
+def test_frames_of_a_clip_are_those_of_the_warp(gpu: Gpu, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    if not gpu.software:
+        pytest.skip("there is a hardware GPU")
+    film = FrameCache(make(tmp_path / "clip.mp4"))
+    stage, (width, height) = VideoStage(gpu, film), film.size
+    assert film.wait(0, 3, 30.0)
+    d = Deformation((height, width), border=None).grab((width / 2, height / 2), by=(9, 4), radius=12)
+    texture = canvas_texture(gpu, film.size)
+
+    def seen(time: float, solved: bool) -> tuple[bool, np.ndarray]:
+        sight = Sight((0.0, 0.0), 1.0, film.size, time, solved=solved)
+        stage.expect((d,), sight)
+        assert not stage.solves((d,), sight)
+        return stage.draw(d, sight, texture), pixels_of(gpu, texture).astype(int)
+
+    for frame in (1, 3, 2):
+        wanted = d.warp(film.get(frame), alpha=False).astype(int)
+        for solved, most in ((False, 8), (True, 1)):
+            ready, found = seen(frame, solved)
+            assert ready
+            assert np.abs(found - wanted).max() <= most
+    monkeypatch.setattr(film, "get", lambda frame: None)  # the next one is not decoded yet
+    ready, kept = seen(3, True)
+    assert not ready
+    np.testing.assert_array_equal(kept, found)
+    film.close()
+
+
+@pytest.mark.parametrize("shape", [(6, 8), (7, 9), (1, 5)])
+@pytest.mark.parametrize("opaque", [True, False])
+def test_half_as_large_a_pixel_is_the_mean_of_four(shape: tuple[int, int], opaque: bool) -> None:
+    pixels = np.random.default_rng(4).integers(0, 256, (*shape, 4)).astype(np.uint8)
+    if opaque:
+        pixels[..., 3] = 255
+    even = np.pad(pixels, [(0, n % 2) for n in shape] + [(0, 0)], mode="edge").astype(float)
+    four = even.reshape(even.shape[0] // 2, 2, even.shape[1] // 2, 2, 4)
+    opacity = four[..., 3:].sum(axis=(1, 3))
+    colours = (four[..., :3] * four[..., 3:]).sum(axis=(1, 3)) / np.maximum(opacity, 1)
+    wanted = np.concatenate([colours, opacity / 4], axis=-1)
+    assert np.abs(halved(pixels) - wanted).max() <= 0.5
 
 
 @pytest.mark.parametrize("overlay", [name for name in OVERLAYS if name])

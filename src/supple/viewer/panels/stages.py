@@ -236,6 +236,7 @@ class Warped:
 
     def __init__(self, gpu: Gpu, levels: Levels) -> None:
         self._gpu, self._levels = gpu, levels
+        self.image = levels.at(0)[0]
         self._place: tuple[int, Rectangle] = 0, _NOTHING  # the level and the part that are held
         self._pixels: Pixels = np.empty((0, 0, 4), np.uint8)  # of that part
         self._map: tuple[object, Space, Grid] | None = None  # from that part to a window, and the window's grid
@@ -452,9 +453,7 @@ class ImageStage:
         given = self._given
         whole = given if isinstance(given, Picture) else Picture(given, alpha=True)
         self.pixels = on_screen(whole, self.transform)
-        self._by_cpu = self._gpu.software  # on the CPU, the core warps faster than shaders
-        self._warped: list[Warped] = []  # the result, and its base beside it
-        if not self._by_cpu:
+        if not self._gpu.software:
             self._plate = Plate(self._gpu, self.pixels.shape[1::-1])
             self._plate.put(0, self.pixels)
 
@@ -466,38 +465,44 @@ class ImageStage:
     def _name(self, name: str, size: tuple[int, int]) -> None:
         self.name, self.size = name, size
         self.trouble = ""  # the reason why the display is incomplete
+        self._warped: list[Warped] = []  # the result, and its base beside it, where the CPU warps
         self._under: tuple[Deformation, Point, Point] | None = None
 
-    def solves(self, sight: Sight) -> bool:
+    def solves(self, deformations: tuple[Deformation, ...], sight: Sight) -> bool:
         """Return whether drawing solves T⁻¹ in shaders, whose time depends on the number of pixels."""
-        return not self._by_cpu or bool(sight.overlay)
+        return bool(sight.overlay) or not all(map(self._warps, deformations))
 
     def _warps(self, deformation: Deformation) -> bool:
-        """Return whether the CPU warps: on a software GPU, and strokes with several masks, which shaders cannot."""
-        return self._by_cpu or isinstance(deformation.space.freeze, Mattes)
+        """Return whether the CPU warps: it is faster than a software GPU, and shaders take no more than one mask."""
+        return self._gpu.software or isinstance(deformation.space.freeze, Mattes)
 
     def expect(self, deformations: tuple[Deformation, ...], sight: Sight) -> None:
         """Prepare the next drawing: warp the image, where the device does not."""
-        if not self._warped and any(map(self._warps, deformations)):
-            levels = Levels(self.pixels)
-            self._warped = [Warped(self._gpu, levels), Warped(self._gpu, levels)]
         several = any(isinstance(deformation.space.freeze, Mattes) for deformation in deformations)
         self.trouble = _OVERLAID if several and sight.overlay else ""
+        pixels = self._frame(sight.time)
+        if pixels is None or not any(map(self._warps, deformations)):
+            return
+        if not self._warped or self._warped[0].image is not pixels:
+            levels = Levels(pixels)
+            self._warped = [Warped(self._gpu, levels), Warped(self._gpu, levels)]
         for deformation, warped in zip(deformations, self._warped, strict=False):
             if self._warps(deformation):
                 warped.bring(deformation, sight)
 
     def draw(self, deformation: Deformation, sight: Sight, texture: Any, encoder: Any = None) -> bool:
         """Draw the visible part, or record it into an encoder; return whether it is complete."""
-        own = next((w for w in self._warped if w.shown is deformation), None) if self._warps(deformation) else None
+        by_cpu = self._warps(deformation)
+        own = next((warped for warped in self._warped if warped.shown is deformation), None) if by_cpu else None
         for warped in self._warped:
             if warped is not own:
                 warped.forget(texture)
+        if not by_cpu:
+            self._drawn(deformation, sight, texture, encoder)
+            return True
         if own is not None:
             own.draw(sight, texture, encoder)
-        else:
-            self._drawn(deformation, sight, texture, encoder)
-        return True
+        return own is not None and own.image is self._frame(sight.time)
 
     def _drawn(self, deformation: Deformation, sight: Sight, texture: Any, encoder: Any) -> None:
         space = deformation.space
@@ -538,8 +543,7 @@ class VideoStage(ImageStage):
         slots = max(2, min(film.most, Plate.most(gpu, film.size), film.count))
         self._name(film.name, film.size)
         self._plate = Plate(gpu, film.size, film.count, slots)
-        self._gpu, self._by_cpu = gpu, False
-        self._still: tuple[object, Warped] | None = None  # a frame warped by the CPU, and the inputs for which it holds
+        self._gpu = gpu
         self._spans: dict[tuple[Deformation, float], Span] = {}
 
     def set_transform(self, name: str) -> None:
@@ -552,16 +556,18 @@ class VideoStage(ImageStage):
         """Prepare the next drawing: request its frames together, since separate requests might displace each other."""
         time = sight.time
         needed = {(d, time): self._spans.get((d, time)) or self.needed(d, time) for d in deformations}
-        self._spans, self.trouble, slots = needed, "", self._plate.slots
+        self._spans, slots = needed, self._plate.slots
         most = max(last - first + 1 for first, last in needed.values())
-        if any(isinstance(d.space.freeze, Mattes) for d in deformations):
-            timed = deformations[0].ndim == 3
-            self.trouble = "freezes after the first stroke, and mattes, are not shown: export has them" if timed else ""
-            self.trouble = _OVERLAID if sight.overlay and not timed else self.trouble
+        super().expect(deformations, sight)
+        if deformations[0].ndim == 3 and any(isinstance(d.space.freeze, Mattes) for d in deformations):
+            self.trouble = "freezes after the first stroke, and mattes, are not shown: export has them"
         if most > slots:
             self.trouble = f"needs {most} frames at once, and {slots} are kept: export shows it whole"
         first, *others = (self._kept(span) for span in needed.values())
         self.film.want(*first, *others)
+
+    def _warps(self, deformation: Deformation) -> bool:
+        return (deformation.ndim == 2 or deformation.is_identity) and super()._warps(deformation)
 
     def _kept(self, span: Span) -> Span:
         """Return the first frames of a span, as many as fit the device."""
@@ -569,17 +575,12 @@ class VideoStage(ImageStage):
 
     def draw(self, deformation: Deformation, sight: Sight, texture: Any, encoder: Any = None) -> bool:
         """Draw the visible part of an expected frame, or record it into an encoder; return whether it is complete."""
-        first, last = self._kept(self._spans[deformation, sight.time])
-        ready = self._laid(first, last)
-        pixels = self._frame(sight.time)
-        if isinstance(deformation.space.freeze, Mattes) and deformation.ndim == 2 and pixels is not None:
-            why = deformation, id(pixels)
-            if self._still is None or self._still[0] != why:
-                self._still = why, Warped(self._gpu, Levels(pixels))
-            self._still[1].bring(deformation, sight)
-            self._still[1].draw(replace(sight, time=0.0), texture, encoder)
-        elif self._plate.held:
-            self._drawn(deformation, sight, texture, encoder)
+        if self._warps(deformation):
+            ready = super().draw(deformation, sight, texture, encoder)
+        else:
+            ready = self._laid(*self._kept(self._spans[deformation, sight.time]))
+            if self._plate.held:
+                super().draw(deformation, sight, texture, encoder)
         if ready:
             return True
         self.trouble = self.film.error or self.trouble

@@ -156,7 +156,7 @@ class Painter:
         seen = (shot.base if shot.original else shot.deformation, shot.base)[: 1 + shot.split]
         if not isinstance(self.stage, VolumeStage):
             self.stage.expect(seen, shot.sight)
-            self._adapts = self.stage.solves(shot.sight)
+            self._adapts = self.stage.solves(seen, shot.sight)
             if not self._adapts:
                 self.coarse = 1
                 wait(self.gpu)  # until here, the device may draw the last image, while this one is warped
