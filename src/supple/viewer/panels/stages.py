@@ -301,16 +301,26 @@ class Warped:
         how = self._place, sight.origin, sight.scale, sight.size, sight.square, sight.solved
         known, stale = self._drawn.get(texture, (None, _NOTHING))
         self._drawn[texture] = how, _NOTHING
-        height, width = self._levels.at(0)[0].shape[:2]
+        height, width = self.image.shape[:2]
         part = _common(_of_window(sight, (0, 0, width, height), 0), (0, 0, *sight.size))
         if known == how:
             part = _common(part, _grown(_of_window(sight, _grown(stale, 1), self._place[0]), 3))  # as filters reach
         else:
-            back = [round(255 * v) for v in (*sight.back, 1.0)]
-            filled(self._gpu, texture, np.full((*sight.size[::-1], 4), back, np.uint8))
+            filled(self._gpu, texture, np.full((*sight.size[::-1], 4), _back(sight), np.uint8))
         x0, y0, x1, y1 = part
         if x0 < x1 and y0 < y1:
-            filled(self._gpu, texture, self._scaled(sight, part), (x0, y0))
+            filled(self._gpu, texture, self._framed(sight, part), (x0, y0))
+
+    def _framed(self, sight: Sight, part: Rectangle) -> Pixels:
+        """Return a part of what a sight shows; beside the image, and where it covers a pixel in part, the background."""
+        made, back = self._scaled(sight, part), _back(sight)
+        for axis, n in enumerate(self.image.shape[1::-1]):
+            at = sight.origin[axis] + sight.scale * np.arange(part[axis], part[2 + axis])
+            cover = np.clip(np.minimum(at + 0.5, n - 0.5 - at) / sight.scale + 0.5, 0, 1)
+            for j in np.flatnonzero(cover < 1):
+                line = made[j] if axis else made[:, j]
+                line[...] = np.rint(back + cover[j] * (line - back))
+        return made
 
     def _scaled(self, sight: Sight, part: Rectangle) -> Pixels:
         """Return a part of what a sight shows, in pixels of the window, over a checkerboard where it is transparent."""
@@ -319,7 +329,8 @@ class Warped:
         first = [(at + 0.5) / 2**k - 0.5 - corner for at, corner in zip(sight.origin, (left, top), strict=True)]
         nearest = [round(at) for at in first]
         if ratio == 1 and max(abs(at - whole) for at, whole in zip(first, nearest, strict=True)) < _ALIGNED:
-            made = self._pixels[nearest[1] + y0 : nearest[1] + y1, nearest[0] + x0 : nearest[0] + x1]
+            rows, columns = (slice(nearest[n] + part[n], nearest[n] + part[2 + n]) for n in (1, 0))
+            made = self._pixels[rows, columns].copy()
         else:
             how = self._place, sight.origin, sight.scale, sight.size
             if self._map is None or self._map[0] != how:
@@ -405,9 +416,14 @@ def _visible(sight: Sight, k: int, shape: tuple[int, ...]) -> Rectangle:
 
 
 def _of_window(sight: Sight, part: Rectangle, k: int) -> Rectangle:
-    """Return the pixels of the window whose centres lie within a part of a level."""
-    x0, y0, x1, y1 = (math.ceil((edge * 2**k - 0.5 - sight.origin[n % 2]) / sight.scale) for n, edge in enumerate(part))
+    """Return the pixels of the window that a part of a level covers, or covers in part."""
+    places = ((edge * 2**k - 0.5 - sight.origin[n % 2]) / sight.scale for n, edge in enumerate(part))
+    x0, y0, x1, y1 = (math.ceil(at + 0.5) if n > 1 else math.floor(at - 0.5) + 1 for n, at in enumerate(places))
     return x0, y0, x1, y1
+
+
+def _back(sight: Sight) -> Pixels:
+    return np.rint([255 * v for v in (*sight.back, 1.0)]).astype(np.uint8)
 
 
 def _grown(part: Rectangle, by: int) -> Rectangle:
