@@ -312,7 +312,7 @@ class Warped:
             filled(self._gpu, texture, self._framed(sight, part), (x0, y0))
 
     def _framed(self, sight: Sight, part: Rectangle) -> Pixels:
-        """Return a part of what a sight shows; beside the image, and where it covers a pixel in part, the background."""
+        """Return a part of what a sight shows, blended with the background where the image covers pixels in part."""
         made, back = self._scaled(sight, part), _back(sight)
         for axis, n in enumerate(self.image.shape[1::-1]):
             at = sight.origin[axis] + sight.scale * np.arange(part[axis], part[2 + axis])
