@@ -90,8 +90,7 @@ INLINE int spread_of(float xx, float xy, float yy, float& sx, float& sy, float& 
     beta = g * (beta > 0 ? beta : 0);
     float half = 0.5f * (alpha + beta), f = 0.5f * (alpha - beta) / (d + 1e-12f);
     float var_x = (half + f * e) * (1 / 12.f), var_y = (half - f * e) * (1 / 12.f), cov = f * xy * (1 / 12.f);
-    sx = root(var_x > 0 ? var_x : 0);
-    sy = root(var_y > 0 ? var_y : 0);
+    sx = root(var_x > 0 ? var_x : 0), sy = root(var_y > 0 ? var_y : 0);
     sx = sx < WIDEST_SPOT ? sx : WIDEST_SPOT;
     sy = sy < WIDEST_SPOT ? sy : WIDEST_SPOT;
     rho = cov / (sx * sy + 1e-12f);

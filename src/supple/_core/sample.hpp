@@ -175,11 +175,10 @@ NOINLINE void gather(const Frames<T>& f, Mix<N> mix, int x, int y, int left, int
     for (int j = 1 - left; j <= 1 + right; j++)
         for (int i = 1 - left; i <= 1 + right; i++) {
             const bool beyond = (columns[i] | rows[j]) < 0;
-            const ptrdiff_t place = rows[j] * f.row + (ptrdiff_t)columns[i] * C;
             N* sum = own + j * PATCH + i * C;
             for (int c = 0; c < C; c++) sum[c] = mix.constant * (N)f.fill[c];
             for (int k = 0; k < mix.n; k++) {
-                const T* p = f.at[mix.first + k] + place;
+                const T* p = f.at[mix.first + k] + rows[j] * f.row + (ptrdiff_t)columns[i] * C;
                 for (int c = 0; c < C; c++) sum[c] += weight[k] * (beyond ? (N)f.fill[c] : (N)p[c]);
             }
         }
