@@ -78,12 +78,11 @@ INLINE bool shrinks(float xx, float xy, float yy) {
     return (room < 0) | (e * e + 4 * xy * xy > room * room);
 }
 
-// The footprint of a pixel with S = (xx, xy; xy, yy), at the source point `whole` + `part`.
-INLINE Print print_of(float xx, float xy, float yy, int whole_x, int whole_y, float part_x, float part_y) {
-    Print p;
+// The kind of a footprint with S = (xx, xy; xy, yy); and the standard deviations and the correlation of its average.
+INLINE int spread_of(float xx, float xy, float yy, float& sx, float& sy, float& rho) {
     float h = 0.5f * (xx + yy), e = 0.5f * (xx - yy), d = root(e * e + xy * xy);
     float alpha = h + d - 1, beta = h - d - 1;
-    p.kind = alpha <= LOW ? PLAIN : ((alpha < NARROW) & (h - d < SQUARE)) ? SPOT : WIDE;
+    const int kind = alpha <= LOW ? PLAIN : ((alpha < NARROW) & (h - d < SQUARE)) ? SPOT : WIDE;
     // 12 Σ, with a soft start
     float g = (RISE / (RISE - LOW)) * (alpha - LOW) / (alpha > LOW ? alpha : LOW);
     g = g > 1 ? 1 : g > 0 ? g : 0;
@@ -91,11 +90,18 @@ INLINE Print print_of(float xx, float xy, float yy, int whole_x, int whole_y, fl
     beta = g * (beta > 0 ? beta : 0);
     float half = 0.5f * (alpha + beta), f = 0.5f * (alpha - beta) / (d + 1e-12f);
     float var_x = (half + f * e) * (1 / 12.f), var_y = (half - f * e) * (1 / 12.f), cov = f * xy * (1 / 12.f);
-    float sx = root(var_x > 0 ? var_x : 0), sy = root(var_y > 0 ? var_y : 0);
+    sx = root(var_x > 0 ? var_x : 0), sy = root(var_y > 0 ? var_y : 0);
     sx = sx < WIDEST_SPOT ? sx : WIDEST_SPOT;
     sy = sy < WIDEST_SPOT ? sy : WIDEST_SPOT;
-    float rho = cov / (sx * sy + 1e-12f);
+    rho = cov / (sx * sy + 1e-12f);
     rho = rho < -1 ? -1 : rho > 1 ? 1 : rho;  // rounding, for a tiny variance
+    return kind;
+}
+
+// The footprint of a pixel at the source point `whole` + `part`.
+INLINE Print print_of(int kind, float sx, float sy, float rho, int whole_x, int whole_y, float part_x, float part_y) {
+    Print p;
+    p.kind = kind;
     // Both points are within a window of 5 × 5 that begins at the first one's.
     float x0 = part_x - sx, x1 = part_x + sx, y0 = part_y - sy, y1 = part_y + sy;
     int before_x = x0 < 0, after_x = x1 >= 1, before_y = y0 < 0, after_y = y1 >= 1;

@@ -242,8 +242,9 @@ NOINLINE void sample_each(const Frames<T>& given, const Row<D>& row, Run run, in
     const int *x = row.whole[0], *y = row.whole[1];
     Places places;
     places.find<left, right, C>(f, x, y, run.from, run.end);
+    Mix<N> mix = mix_of(run.from);
     for (int k = from; k < end; k++) {
-        const Mix<N> mix = mix_of(k);
+        if constexpr (SEVERAL) mix = mix_of(k);
         auto kernel = [&](auto taps, ptrdiff_t r) INLINE_LAMBDA {
             N fx = (N)row.part[0][k], fy = (N)row.part[1][k];
             if constexpr (FILTER == LINEAR)
@@ -264,9 +265,10 @@ NOINLINE void sample_footprints(const Frames<T>& given, const Pyramid<N>& pyrami
     const int *x = row.whole[0], *y = row.whole[1];
     Places places;
     places.find<2, 3, C>(f, x, y, run.from, run.end);
+    Mix<N> mix = mix_of(run.from);
     for (int k = from; k < end; k++) {
         const N fx = (N)row.part[0][k], fy = (N)row.part[1][k];
-        const Mix<N> mix = mix_of(k);
+        if constexpr (SEVERAL) mix = mix_of(k);
         auto cubic = [&](auto taps, ptrdiff_t r) INLINE_LAMBDA { return cubic_at<N, C>(taps, r, fx, fy); };
         auto spot = [&](auto taps, ptrdiff_t r) INLINE_LAMBDA {
             Across<N> across{(N)prints.first[k], (N)prints.second[k], prints.shift[k]};

@@ -6,6 +6,7 @@
 
 namespace supple {
 
+constexpr int SOME = 8;    // pixels whose footprints are computed at once
 constexpr int PATCH = 32;  // numbers from one row of a patch of samples to the next
 
 // ---- weights --------------------------------------------------------------------------------------------------------
@@ -170,16 +171,16 @@ NOINLINE void gather(const Frames<T>& f, Mix<N> mix, int x, int y, int left, int
         rows[i] = placed(y - 1 + i, f.h, f.rule);
     }
     const N one = 1, *weight = mix.n == 1 && mix.constant == 0 ? &one : mix.weight;
+    std::fill_n(own + (1 - left) * PATCH, (1 + left + right) * PATCH, N(0));
     for (int j = 1 - left; j <= 1 + right; j++)
         for (int i = 1 - left; i <= 1 + right; i++) {
-            bool beyond = columns[i] < 0 || rows[j] < 0;
-            N sum[C];
+            const bool beyond = (columns[i] | rows[j]) < 0;
+            N* sum = own + j * PATCH + i * C;
             for (int c = 0; c < C; c++) sum[c] = mix.constant * (N)f.fill[c];
             for (int k = 0; k < mix.n; k++) {
                 const T* p = f.at[mix.first + k] + rows[j] * f.row + (ptrdiff_t)columns[i] * C;
                 for (int c = 0; c < C; c++) sum[c] += weight[k] * (beyond ? (N)f.fill[c] : (N)p[c]);
             }
-            for (int c = 0; c < C; c++) own[j * PATCH + i * C + c] = sum[c];
         }
 }
 // The place of the sample at (x, y).
@@ -199,7 +200,7 @@ INLINE bool inner(const Frames<T>& f, int x, int y) {
 template <class N, int C, int LEFT, int RIGHT, bool SEVERAL, class T, class Use>
 INLINE Pixel<N> around(const Frames<T>& f, const Mix<N>& mix, int x, int y, bool inside, ptrdiff_t place, Use use) {
     if (__builtin_expect(inside && (!SEVERAL || mix.n > 0), 1)) return within<N, C, SEVERAL>(f, mix, place, use);
-    N own[PATCH * (WINDOW + 1)] = {};
+    N own[PATCH * (WINDOW + 1)];
     gather<N, C>(f, mix, x, y, LEFT, RIGHT, own);
     return use(One<N>{own + PATCH + C}, (ptrdiff_t)PATCH);
 }
@@ -213,28 +214,28 @@ struct Prints {
     int x[STRIDE], y[STRIDE], shift[STRIDE];            // a spot's first point; 1 if the second is in the next column
     float first[STRIDE], second[STRIDE];                // their fractions along x
     float left[WINDOW][STRIDE], right[WINDOW][STRIDE];  // weights of rows for the left and the right points
+    float sx[STRIDE], sy[STRIDE], rho[STRIDE];          // the deviations of a spot, and their correlation
     bool any;
 
     // Always for a whole row of a root, since loops of other lengths may round differently.
     template <int D>
-    void find(const Row<D>& row, int filter);
+    void find(const Row<D>& __restrict row, int filter) __restrict;
 
 private:
     template <int D>
-    void find_spots(const Row<D>& row, int from, int end);
+    void find_spots(const Row<D>& __restrict row, int from) __restrict;
 };
 
 template <int D>
-inline void Prints::find(const Row<D>& row, int filter) {
-    constexpr int some = 8;  // pixels computed at once
-    int n = row.count;
+inline void Prints::find(const Row<D>& __restrict row, int filter) __restrict {
+    int n = row.count, shrinking[STRIDE / SOME], count = 0;  // blocks with footprints
     any = false;
     if (filter != AUTO || !row.sloped) return;
-    for (int from = 0; from < n; from += some) {
+    for (int from = 0; from < n; from += SOME) {
         const float *ax = row.across[0] + from, *ay = row.across[1] + from, *dx = row.down[0] + from,
                     *dy = row.down[1] + from;
         int shrink = 0;
-        for (int i = 0; i < some; i++) {
+        for (int i = 0; i < SOME; i++) {
             float sxx = ax[i] * ax[i] + dx[i] * dx[i], sxy = ax[i] * ay[i] + dx[i] * dy[i];
             float syy = ay[i] * ay[i] + dy[i] * dy[i];
             xx[from + i] = sxx;
@@ -243,17 +244,19 @@ inline void Prints::find(const Row<D>& row, int filter) {
             kind[from + i] = PLAIN;
             shrink |= (from + i < n) & shrinks(sxx, sxy, syy);
         }
-        if (shrink) find_spots(row, from, from + some);
-        any |= shrink;
+        if (shrink) shrinking[count++] = from;
     }
+    any = count > 0;
+    for (int b = 0; b < count; b++)  // quotients and roots wait for each other: those of all blocks together
+        for (int i = shrinking[b]; i < shrinking[b] + SOME; i++)
+            kind[i] = spread_of(xx[i], xy[i], yy[i], sx[i], sy[i], rho[i]);
+    for (int b = 0; b < count; b++) find_spots(row, shrinking[b]);
 }
 template <int D>
-inline void Prints::find_spots(const Row<D>& row, int from, int end) {
-    const float *part_x = row.part[0], *part_y = row.part[1];
-    const int *whole_x = row.whole[0], *whole_y = row.whole[1];
-    for (int i = from; i < end; i++) {
-        const Print p = print_of(xx[i], xy[i], yy[i], whole_x[i], whole_y[i], part_x[i], part_y[i]);
-        kind[i] = p.kind;
+inline void Prints::find_spots(const Row<D>& __restrict row, int from) __restrict {
+    for (int i = from; i < from + SOME; i++) {
+        const Print p =
+            print_of(kind[i], sx[i], sy[i], rho[i], row.whole[0][i], row.whole[1][i], row.part[0][i], row.part[1][i]);
         x[i] = p.x;
         y[i] = p.y;
         shift[i] = p.across.shift;

@@ -451,12 +451,27 @@ struct Reader final : Sampler<N, D> {
     void operator()(const Row<D>& row, const Prints& prints, N* weight, int at, int n, void* to,
                     Pixel<N>* numbers) const override {
         Mixing<N, D> mixing(job, span, row, weight, (const void* const*)frames.at);
-        const Putting<N, T, C> put{(T*)to - at * C, at + n, high, numbers};
+        Pixel<N> own[STRIDE];  // converted together, as each sum would wait long for that of the one before
+        const bool later = !numbers && sizeof(T) < sizeof(N) && C > 2;
+        const Putting<N, T, C> put{(T*)to - at * C, at + n, high, later ? own : numbers};
         sample_row<N, C, D == 3>(frames, pyramid, job.filter, row, prints, at, at + n, mixing, put);
+        if (later) this->put(own, at, n, to);
     }
     void put(const Pixel<N>* numbers, int at, int n, void* to) const override {
         const Putting<N, T, C> put{(T*)to - at * C, at + n, high, nullptr};
-        for (int k = at; k < at + n; k++) put(k, numbers[k]);
+        int k = at;
+#if defined(__SSE4_1__)
+        if constexpr (sizeof(T) == 1 && C == 3)  // four at once, and four bytes more
+            for (; k + 6 <= at + n; k += 4) {
+                __m128i v[4];
+                for (int i = 0; i < 4; i++)
+                    v[i] = _mm_cvtps_epi32(_mm_min_ps((__m128)numbers[k + i], _mm_set1_ps(high)));
+                v[0] = _mm_packus_epi16(_mm_packus_epi32(v[0], v[1]), _mm_packus_epi32(v[2], v[3]));
+                const __m128i colours = _mm_setr_epi8(0, 1, 2, 4, 5, 6, 8, 9, 10, 12, 13, 14, 15, 15, 15, 15);
+                _mm_storeu_si128((__m128i*)(put.out + k * C), _mm_shuffle_epi8(v[0], colours));
+            }
+#endif
+        for (; k < at + n; k++) put(k, numbers[k]);
     }
 };
 

@@ -294,7 +294,11 @@ INLINE void paint(const Job& job, int plane, int x, int y, const Point<D>& p, T*
             Print print{};
             if constexpr (FILTER == AUTO) {
                 const float xx = square(p, 0, 0), xy = square(p, 0, 1), yy = square(p, 1, 1);
-                if (shrinks(xx, xy, yy)) print = print_of(xx, xy, yy, p.whole[0], p.whole[1], p.part[0], p.part[1]);
+                if (shrinks(xx, xy, yy)) {
+                    float sx, sy, rho;
+                    const int kind = spread_of(xx, xy, yy, sx, sy, rho);
+                    print = print_of(kind, sx, sy, rho, p.whole[0], p.whole[1], p.part[0], p.part[1]);
+                }
             }
             each_group<T, N, C>(job, [&](const Group<T, N, C>& group) {
                 if constexpr (D == 2)
