@@ -217,24 +217,24 @@ struct Prints {
 
     // Always for a whole row of a root, since loops of other lengths may round differently.
     template <int D>
-    void find(const Row<D>& row, int filter);
+    void find(const Row<D>& __restrict row, int filter);
 
 private:
+    static constexpr int SOME = 8;  // pixels computed at once
     template <int D>
-    void find_spots(const Row<D>& row, int from, int end);
+    NOINLINE void find_spots(const Row<D>& __restrict row, int from);
 };
 
 template <int D>
-inline void Prints::find(const Row<D>& row, int filter) {
-    constexpr int some = 8;  // pixels computed at once
+inline void Prints::find(const Row<D>& __restrict row, int filter) {
     int n = row.count;
     any = false;
     if (filter != AUTO || !row.sloped) return;
-    for (int from = 0; from < n; from += some) {
+    for (int from = 0; from < n; from += SOME) {
         const float *ax = row.across[0] + from, *ay = row.across[1] + from, *dx = row.down[0] + from,
                     *dy = row.down[1] + from;
         int shrink = 0;
-        for (int i = 0; i < some; i++) {
+        for (int i = 0; i < SOME; i++) {
             float sxx = ax[i] * ax[i] + dx[i] * dx[i], sxy = ax[i] * ay[i] + dx[i] * dy[i];
             float syy = ay[i] * ay[i] + dy[i] * dy[i];
             xx[from + i] = sxx;
@@ -243,15 +243,15 @@ inline void Prints::find(const Row<D>& row, int filter) {
             kind[from + i] = PLAIN;
             shrink |= (from + i < n) & shrinks(sxx, sxy, syy);
         }
-        if (shrink) find_spots(row, from, from + some);
+        if (shrink) find_spots(row, from);
         any |= shrink;
     }
 }
 template <int D>
-inline void Prints::find_spots(const Row<D>& row, int from, int end) {
+void Prints::find_spots(const Row<D>& __restrict row, int from) {
     const float *part_x = row.part[0], *part_y = row.part[1];
     const int *whole_x = row.whole[0], *whole_y = row.whole[1];
-    for (int i = from; i < end; i++) {
+    for (int i = from; i < from + SOME; i++) {
         const Print p = print_of(xx[i], xy[i], yy[i], whole_x[i], whole_y[i], part_x[i], part_y[i]);
         kind[i] = p.kind;
         x[i] = p.x;
