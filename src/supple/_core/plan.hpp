@@ -60,7 +60,7 @@ struct Row {
     float depth2[STRIDE];                      // |∂p_z/∂q|², in a stack
     bool same[STRIDE];                         // true outside the balls of all strokes, and where it is frozen
     bool some_same, idle;                      // whether any is the same; whether all are, so that nothing else is set
-    bool sloped;                               // whether the derivatives are set
+    bool sloped, averaged;                     // whether the derivatives in the plane are set; and depth2
     int count;                                 // the number of samples of its root
 };
 
