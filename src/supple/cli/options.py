@@ -18,9 +18,8 @@ if TYPE_CHECKING:
     from fractions import Fraction
 
     from supple.engine.sampling import Sampling
-    from supple.files.options import ClipOptions
+    from supple.files.options import ClipOptions, Running
     from supple.files.options import VolumeOptions as Reading
-    from supple.files.tasks import Running
     from supple.media.timecode import Numbering
     from supple.strokes import Recipe
 
@@ -506,14 +505,9 @@ class WorkerOptions:
     workers: Annotated[int | None, whole()] = None
     scheduler: Annotated[str | None, Parameter(metavar="tcp://HOST:PORT")] = None
 
-    @property
-    def given(self) -> str | None:
-        """The name of a given option; None if there is none."""
-        return next((f"--{name}" for name, value in vars(self).items() if value is not None), None)
-
     def to_running(self) -> "Running":
         """Return the options as a `Running`."""
-        from supple.files.tasks import Running
+        from supple.files.options import Running
 
         return Running(**vars(self))
 

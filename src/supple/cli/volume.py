@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -260,7 +260,7 @@ def render(
 
     warn_of_software(console, look.device)
     reading = volume.to_reading()
-    medium = Medium(source, "volume", reading.layout, reading.series, reading.irregular)
+    medium = Medium(source, "volume", reading.how)
     edits = strokes.read(
         maps, reading, console.arguments, source, reference=reference, empty=True, points=bool(look.mesh)
     )
@@ -378,8 +378,6 @@ def _deformation(
     from supple.files.landmarks import warn_of_frame
     from supple.files.options import GridOptions
     from supple.files.volumes import deformation_of as on_volume
-    from supple.files.volumes import open_volume
-    from supple.media.files import is_store
     from supple.strokes import fit_recipe
 
     recipe, elements = edits.recipe, edits.maps
@@ -387,22 +385,16 @@ def _deformation(
     job = Job(
         on, moving, recipe, volume=reading, grid=None if elements.reference is None else GridOptions(elements.reference)
     )
-    if is_store(on):
-        from supple.cli.stores import refer
-        from supple.files.plans import open_source, warp_on
-
-        job = refer(current(), replace(job, fit=fit), elements)
-        source = open_source(job)
-        return warp_on(source, job).deformation, source.geometry
     job = elements.placed(current(), job)
-    if job.medium.kind == "volume":
-        volume = open_volume(on, reading)
+    medium = job.medium
+    if medium.grid is not None and medium.grid.ndim == 3:
+        volume = medium.outline
         warn_of_frame(points, volume)
         return on_volume(recipe, volume, world=reading.world, fit=fit, maps=job.maps), volume.geometry
     if reading.world:
         raise SuppleError(f"{argument('world')} is for volumes, and {on} is none: leave it out")
     refuse_places(recipe, on)
-    if (own := job.medium.grid) is None:
+    if (own := medium.grid) is None:
         known = video.to_clip()
         with open_clip(on, rate=known.rate) as clip:
             return on_clip(recipe, clip.count, clip.layout.shape, known.time_scale, clip.name, fit), None

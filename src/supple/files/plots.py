@@ -103,7 +103,7 @@ def plot_file(
     check_plot(target, force=force)
     grid = None if reference is None else GridOptions(reference)
     job = Job(source, "", recipe, maps=maps, volume=volume or VolumeOptions(), grid=grid, fit=fit)
-    if (kind := job.medium.kind) == "volume":
+    if (kind := job.medium.kind) in ("volume", "store"):  # of which the latter cannot be read whole
         if frame is not None or options != ClipOptions(memory=options.memory):
             raise SuppleError(f"{shown(source)} is a volume, which has no frames: leave out what is for videos")
         return _plot_volume(job, target, what, plane, force)

@@ -51,7 +51,7 @@ def write_map(
     convention, how = convention_out(target, to, None)
     check_output(target, force=force)
     tell("read", 0, 1)
-    outline = volumes.outline_of(source, raw=known.layout, series=known.series, irregular=known.irregular)
+    outline = volumes.outline_of(source, **known.how)
     on = outline
     if grid is not None and grid.reference is not None:
         on = moved(outline, reference_grid(grid.reference, 3), grid)

@@ -16,61 +16,30 @@ from typing import Any, Literal
 import numpy as np
 
 from supple.blocks import Block, Box, Warp, boxes_of, chunks_of
-from supple.deformation import Deformation, Report
 from supple.engine.sampling import Certificate, Sampling, warn_of
 from supple.engine.work import Tell
 from supple.errors import SuppleError, VolumeWarning, shown
 from supple.fields import Field, Placed, folds_of, only_name
 from supple.files import plans
-from supple.files.jobs import Job, job_of
+from supple.files.jobs import Job, Warped
 from supple.files.options import VolumeOptions
-from supple.files.plans import Source, open_source, planned, task_shape, warp_on, whole_chunks
-from supple.files.tasks import Runner, Running, advancing, check_seen, check_shared, runner_of
+from supple.files.plans import planned, task_shape, warp_on, whole_chunks
+from supple.files.tasks import Runner, advancing, check_seen, check_shared, runner_of
 from supple.files.transforms import SavedField, begin_field, check_field, is_scene, write_field, write_transform
 from supple.files.volumes import least_of, warn_of_labels
 from supple.media.files import ROOTS, PathLike, check_store, is_store, replacing, unwritable
 from supple.media.stores.image import LABELS, StoredImage
+from supple.media.stores.inputs import Source
 from supple.media.stores.levels import Mode
 from supple.media.stores.places import Place
 from supple.media.stores.target import Target, create, holding
 from supple.media.transforms.ngff import Placement
-from supple.space.geometry import Geometry, Grid
-from supple.strokes import Recipe
+from supple.space.geometry import Grid
 
 Numbers = tuple[float, ...]
 
 _SIDE = 64  # voxels on a side of the part in which labels are detected
 _AT_ONCE = 4096  # tasks in the queue; each takes a few kilobytes
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class WarpedStore:
-    """The result of a warp to a Zarr store."""
-
-    source: str
-    target: str
-    deformation: Deformation  # the strokes, on the axes of space
-    geometry: Geometry | None  # of a volume; None for a picture
-    tolerance: float  # the largest distance of a source point from T⁻¹(q), in samples
-    error: float  # the error estimate from the checks of the map
-    shape: tuple[int, ...]  # of the output, all axes
-    levels: int
-    labels: tuple[str, ...]  # names of the label images that were warped with it
-    blocks: int  # of the finest level
-    done: int  # blocks that an interrupted job had already written
-    copied: int  # blocks whose compressed chunks were copied
-    read: int  # decoded bytes that were read, without copies; a chunk counts as often as it was read
-    copied_bytes: int  # compressed bytes of the copied chunks
-    grid: Grid | None = None  # of the output, if it is not that of the input
-    folded: int = 0  # as in `supple.files.Warped`
-    outside: int = 0
-    unsolved: int = 0
-    field: SavedField | None = None  # the map that was saved with it
-    background: float | None = None  # the scaled fill value outside the input, if it was chosen automatically
-
-    def report(self) -> Report:
-        """Return the report on the strokes and the certified error, measured at every sample; this is slow."""
-        return self.deformation.report(tolerance=self.tolerance, grid=self.grid)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -85,57 +54,29 @@ class Work:
     warp: Warp
 
 
-def warp_store(
-    source: PathLike,
-    target: PathLike,
-    recipe: Recipe,
-    *,
-    running: Running | None = None,
-    tell: Tell = lambda step, done, total: None,
-    **given: Any,
-) -> WarpedStore:
-    """Warp a Zarr array, an OME-Zarr image, a volume or a picture to a Zarr store, block by block.
-
-    For a store, the output has its format: chunks, shards, codecs, levels and metadata. For a file, it is an OME-Zarr
-    image of version 0.5. Each task reads the part of the input that its block needs; blocks of a store that no stroke
-    reaches are copied without decoding. After an interruption, the same call resumes the work. The result equals that
-    of `Deformation.warp` on each channel, bit for bit. Label images in an OME-Zarr image, on the same grid, are warped
-    with it, and keep their labels.
-
-    Parameters
-    ----------
-    source, target : str or os.PathLike
-        Folders, or URLs of fsspec (``s3://``, ``gs://``, ``memory://``, ...). With two axes of space, it is a picture,
-        in pixels; with three, a volume, in millimetres if its axes have units. Other axes are carried along. If strokes
-        have points of two numbers, each plane of a volume is a picture. The source may also be a file: uncompressed
-        NIfTI and raw voxels are memory-mapped, tiles and strips of a TIFF are read when needed, and each process holds
-        other volumes and pictures in memory.
-    running : Running, optional
-        Where the tasks run: by default, on threads of this process.
-    tell : function of (str, int, int)
-        Called with ``"field"``, ``"plan"``, ``"warp"`` and ``"reduce"``, and the finished and the total number of
-        blocks.
-    **given
-        ``filter``, ``tolerance``, ``outside``, ``fill``, ``force``, ``fit``, ``maps`` and ``grid``, as in `warp_file`;
-        and ``options``, a `VolumeOptions` with ``world`` and ``labels``; for files, also ``layout`` and ``series``; and
-        ``save_field``: a store (``.zarr``, or a URL) becomes an OME-Zarr scene with both directions of the map, a
-        bijection, in the units and along the axes of the input; the field of a volume may also be a file.
-
-    After an error, such as a full disk or lost workers, finished blocks are kept, and the same call resumes the work.
-    """
-    return warp(job_of(source, target, recipe, **given), running or Running(), tell)
-
-
-@holding()
-def warp(job: Job, where: Running, tell: Tell) -> WarpedStore:
-    """Warp to a store, as in `warp_store`."""
-    source, target, known, grid, maps, force = job.source, job.target, job.volume, job.grid, job.maps, job.force
-    if where.elsewhere:
+def check(job: Job) -> None:
+    """Raise SuppleError for an output that is no store, or cannot be written, before workers are started."""
+    source, target, known = job.source, job.target, job.volume
+    if not is_store(target):
+        what = f"{shown(source)} is a Zarr store, and becomes one, which {shown(target)} is not"
+        raise SuppleError(f"{what}: name one, such as out.zarr")
+    if job.running.elsewhere:
         check_shared((source, target, *([] if known.save_field is None else [known.save_field])))
     folder = Place(target).folder
     if folder is not None:
-        check_store(folder if "://" in os.fspath(target) else target, force=force)  # before workers are started
-    opened = open_source(job)
+        check_store(folder if "://" in os.fspath(target) else target, force=job.force)
+
+
+@holding()
+def warp(job: Job, tell: Tell) -> Warped:
+    """Warp a Zarr array, an OME-Zarr image, a volume or a picture to a store, block by block, as in `supple.warp_file`.
+
+    Each task reads the part of the input that its block needs; blocks of a store that no stroke reaches are copied
+    without decoding. ``tell`` is called with ``"field"``, ``"plan"``, ``"warp"`` and ``"reduce"``, and the finished and
+    the total number of blocks. After an error, such as a full disk or lost workers, finished blocks are kept.
+    """
+    source, target, known, grid, maps, force = job.source, job.target, job.volume, job.grid, job.maps, job.force
+    opened = job.medium.stored
     image = opened.image
     if job.outside is None and opened.is_file and opened.geometry is not None and grid is not None and grid.reference:
         least = 0.0 if "c" in opened.samples.axes else least_of(opened.samples)  # as for volumes from file to file
@@ -155,7 +96,7 @@ def warp(job: Job, where: Running, tell: Tell) -> WarpedStore:
     other: dict[str, Any] = {} if made.grid is None else {"shape": made.grid.shape}
     if made.grid is not None and image.version:
         other["scale"], other["translation"] = _located(opened, made.grid, target)
-    with runner_of(where) as runner:
+    with runner_of(job.running) as runner:
         output = create(target, image, force=force, job=own, **other)
         mapping = None if field is None else field()
         work = Work(Place(image.address), opened.samples, not opened.is_file, opened.carried, output, made)
@@ -170,7 +111,7 @@ def warp(job: Job, where: Running, tell: Tell) -> WarpedStore:
             warnings.simplefilter("ignore")
             options = replace(known, labels=known.labels or "nearest", save_field=None)
             plain = Sampling(tolerance=job.sampling.tolerance, outside=job.sampling.outside)
-            warp(replace(job, source=here, target=there, force=True, volume=options, sampling=plain), where, tell)
+            warp(replace(job, source=here, target=there, force=True, volume=options, sampling=plain), tell)
     if mapping is not None:
         output.finish(mapping.target)
     elif known.save_field is not None:
@@ -183,12 +124,13 @@ def warp(job: Job, where: Running, tell: Tell) -> WarpedStore:
         saved = SavedField(os.fspath(known.save_field), tolerance, certificate.error)
     else:
         output.finish()
-    return WarpedStore(
-        os.fspath(source), os.fspath(target), made.deformation, opened.geometry, made.sampling.tolerance,
-        certificate.error, tuple(output.arrays[0].shape), len(output.arrays), labels, **counts, grid=made.grid,
-        folded=certificate.folded, outside=certificate.outside, unsolved=certificate.unknown, field=saved,
-        background=None if job.outside is not None or made.sampling.outside == "edge" else
-        0.0 if known.labels else opened.background,
+    chosen = job.outside is None and made.sampling.outside == "constant"
+    return Warped(
+        os.fspath(source), os.fspath(target), "store", (made.deformation,), made.sampling.tolerance, certificate.error,
+        geometry=opened.geometry, grid=made.grid, folded=certificate.folded, outside=certificate.outside,
+        unsolved=certificate.unknown, shape=tuple(output.arrays[0].shape), levels=len(output.arrays), labels=labels,
+        field=saved, background=None if not chosen else 0.0 if known.labels else opened.background,
+        **counts,  # type: ignore[arg-type]
     )  # fmt: skip
 
 
@@ -201,7 +143,7 @@ def _labels(source: Source, job: Job) -> tuple[str, ...]:
             why = "it has no plain name"
         else:
             try:
-                own = open_source(replace(job, source=f"{address}/{LABELS}/{name}", volume=VolumeOptions()))
+                own = replace(job, source=f"{address}/{LABELS}/{name}", volume=VolumeOptions()).medium.stored
                 if own.space != source.space or not own.grid.is_same_space(source.grid):
                     why = "it is on another grid"
                 elif own.image.dtype.kind not in "iub":

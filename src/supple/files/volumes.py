@@ -24,10 +24,11 @@ from supple.engine.work import Array, Space, Tell, work_of
 from supple.errors import GapWarning, SuppleError, VolumeWarning, argument, shown
 from supple.fields import Placed, folds_of, only_name
 from supple.files.grids import grid_on, reference_grid, warn_of_place
-from supple.files.jobs import Job, Warped, job_of
+from supple.files.jobs import Job, Warped
 from supple.files.options import GridOptions, PathLike, VolumeOptions
 from supple.folding.resolved import warn_of_still
 from supple.media.files import check_output, is_store, replacing
+from supple.media.medium import opened
 from supple.media.volume import Volume, check_target, derived, read, suffix_of, write
 from supple.media.volume.dicom import padding_of
 from supple.space.geometry import Floats, Geometry, Grid
@@ -57,25 +58,14 @@ class Flowing:
 
 def open_volume(source: PathLike, options: VolumeOptions | None = None) -> Volume:
     """Return a volume with the samples as stored; `Volume.rescaled` returns the scaled values."""
-    known = options or VolumeOptions()
-    volume = read(source, raw=known.layout, series=known.series, irregular=known.irregular)
-    for name in ("series", "irregular"):
-        if getattr(known, name) is not None and volume.format != "DICOM":
-            text = f"{volume.name} is {volume.format}, and {argument(name)} is for DICOM folders: leave it out"
-            raise SuppleError(text)
-    return volume
+    return read(source, **(options or VolumeOptions()).how)
 
 
 def place_of(path: PathLike, options: VolumeOptions | None = None) -> str | None:
     """Return the convention of a volume's geometry, as in `Geometry`, for points of three numbers; None for a clip."""
-    if is_store(path):
-        from supple.media.stores.image import open_image
-
-        image = open_image(path)
-        return None if len(image.spatial) < 3 else "LPS" if image.placed else "array"
-    solid = Recipe(strokes=(Stroke(at=(0, 0, 0), by=(0, 0, 0), radius=1),))
-    medium = Job(path, "", solid, volume=options or VolumeOptions()).medium
-    return medium.outline.geometry.convention if medium.kind == "volume" else None
+    medium = opened(path, axes=None if is_store(path) else 3, how=(options or VolumeOptions()).how)
+    solid = medium.kind in ("volume", "store") and medium.grid is not None and medium.grid.ndim == 3
+    return medium.outline.geometry.convention if solid else None
 
 
 def deformation_of(
@@ -192,24 +182,12 @@ def filtered(job: Job) -> Sampling:
     return replace(job.sampling, filter=wanted) if job.volume.labels else job.sampling
 
 
-def warp_volume(
-    source: PathLike,
-    target: PathLike,
-    recipe: Recipe,
-    *,
-    tell: Tell = lambda step, done, total: None,
-    **given: Any,
-) -> Warped:
-    """Warp a volume file, slab by slab; ``given`` are other arguments of `supple.warp_file`.
+def warp(job: Job, tell: Tell) -> Warped:
+    """Warp a volume, slab by slab, as in `supple.warp_file`; the job's names and options are already checked.
 
     ``tell`` is called with ``"read"``, then with ``"warp"``, the number of finished slices, and their total, and with
     ``"write"``.
     """
-    return job_of(source, target, recipe, **given).warp(tell=tell)
-
-
-def warp(job: Job, tell: Tell) -> Warped:
-    """Warp a volume, as in `warp_volume`; the job's names and options are already checked."""
     source, target, known, grid, maps = job.source, job.target, job.volume, job.grid, job.maps
     sampling = filtered(job).along_all_axes()
     tell("read", 0, 1)

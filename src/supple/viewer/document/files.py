@@ -32,7 +32,7 @@ from supple.media.medium import VIDEOS_OUT, opened
 from supple.media.pictures import COMPRESSIONS, OUT
 from supple.media.suffixes import ANIMATED
 from supple.media.volume import SUFFIXES_OUT as VOLUMES_OUT
-from supple.media.volume import suffix_of
+from supple.media.volume import read, suffix_of
 from supple.strokes import Recipe, Stroke, spoken
 from supple.viewer.document.background import Task
 from supple.viewer.document.editing import Document, Kind
@@ -476,7 +476,8 @@ class FileCommands:
         """Open another medium in a window of its own; SuppleError if it cannot be read, or no window be opened."""
         if not os.path.exists(path):
             raise SuppleError(f"cannot read {shown(path)}: there is no such file")
-        _ = opened(path).grid  # raises SuppleError if it cannot be read; a clip is not opened here
+        medium = opened(path)
+        _ = medium.grid if medium.kind != "store" else read(path)  # raises SuppleError; a clip is not opened here
         if not self.windows:
             raise SuppleError(f"{shown(path)} needs a window of its own: supple view opens one, on a screen or --serve")
         words = [sys.executable, "-m", "supple", "view", os.fspath(path)]
