@@ -17,6 +17,7 @@ import supple.media.video
 from supple.errors import ScaleWarning
 from supple.files import warp_file
 from supple.files.clips import deformation_of
+from supple.files.jobs import Job
 from supple.files.options import ClipOptions
 from supple.files.plots import plot_file
 from supple.media import image
@@ -135,7 +136,7 @@ def test_of_a_turned_video_points_are_those_of_frames_as_stored(run: Run) -> Non
     with pytest.warns(ClipWarning, match="180°"):
         warp_file(turned("b.mp4", 180), "c.mp4", TIMED)
     with pytest.warns(ClipWarning, match="90° clockwise"):
-        plot_file(turned("d.mp4", -90), "d.png", TIMED, "sheet")
+        plot_file(Job(turned("d.mp4", -90), "d.png", TIMED), "sheet")
 
 
 def walking(name: str, count: int = 8) -> list[np.ndarray]:

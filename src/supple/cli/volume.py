@@ -253,6 +253,7 @@ def render(
     """
     console = options.start(source)
     from supple.engine.progress import counted
+    from supple.files.jobs import Job
     from supple.files.options import GridOptions
     from supple.files.renders import render_file
     from supple.media.medium import Medium
@@ -264,18 +265,17 @@ def render(
     edits = strokes.read(
         maps, reading, console.arguments, source, reference=reference, empty=True, points=bool(look.mesh)
     )
-    recipe = edits.recipe if strokes.any else None
     with spelling(_NAMING):
         render = look.to_render(Camera(**vars(camera)), maps.coordinates)
-    if reading.world and recipe is None:
+    if reading.world and not strokes.any:
         raise SuppleError("--world is about the points of strokes, and there are none: leave it out")
     grid = None if reference is None else GridOptions(reference)
     placed = edits.maps.on(console, medium.outline.grid, medium.name, grid) if edits.maps else ()
+    job = Job(
+        source, target, edits.recipe, volume=reading, force=options.force, fit=strokes.to_fit(), maps=placed, grid=grid
+    )
     with spelling(_NAMING), counted(console.terminal) as tell, workers() as who:
-        scene = render_file(
-            source, target, recipe, options=render, volume=reading, force=options.force, tell=tell,
-            fit=strokes.to_fit(), maps=placed, reference=reference,
-        )  # fmt: skip
+        scene = render_file(job, render, tell=tell)
     say_convention(console, reading.world, scene.geometry, source)
     if render.transfer is None and scene.labels is not None and not console.quiet:
         console.say(f"{source} is drawn as a label map, of {len(scene.labels)} labels: --transfer grey draws values")

@@ -52,7 +52,7 @@ class Job:
 
     source: PathLike
     target: PathLike
-    recipe: Recipe
+    recipe: Recipe = field(default_factory=Recipe)
     sampling: Sampling = DEFAULT
     outside: str | None = None
     clamp: bool | None = None
