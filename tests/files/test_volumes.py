@@ -19,7 +19,7 @@ from supple.cli import command
 from supple.engine.sampling import Sampling
 from supple.errors import SuppleError, VolumeWarning
 from supple.fields import Placed
-from supple.files import volumes, warp_file
+from supple.files import Job, volumes, warp_file
 from supple.files.freezing import read_freeze
 from supple.files.options import VolumeOptions
 from supple.files.volumes import deformation_of
@@ -163,11 +163,11 @@ def test_a_border_that_is_elsewhere_is_told(here: Path) -> None:
     at = volume.geometry.to_world((10.0, 10.0, 8.0), "RAS").tolist()
     recipe = replace(recipe, strokes=(supple.Stroke.grab(at, by=(0.1, 0, 0), radius=3),))
     with pytest.warns(VolumeWarning, match="its border, a tenth of each axis, is elsewhere"):
-        deformation_of(recipe, volume)
+        deformation_of(Job("", "", recipe), volume)
     for same in (replace(recipe, size=volume.sizes), replace(recipe, size=None), replace(recipe, border=2.0)):
         with warnings.catch_warnings():
             warnings.simplefilter("error", VolumeWarning)
-            deformation_of(same, volume)
+            deformation_of(Job("", "", same), volume)
 
 
 def test_voxels_of_another_size_are_not_scaled(here: Path) -> None:

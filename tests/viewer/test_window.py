@@ -19,6 +19,7 @@ import pytest
 
 import supple
 from supple.errors import ScaleWarning, SuppleError
+from supple.files.jobs import Job
 from supple.files.options import ClipOptions, VolumeOptions
 from supple.files.volumes import deformation_of
 from supple.gpu.device import Gpu
@@ -194,7 +195,7 @@ def test_the_first_strokes_may_be_places_in_space(gpu: Gpu, state: Path) -> None
     np.testing.assert_allclose(view.document.strokes[0].at, (45, 60, 50), atol=1e-6)
     assert (view.recipe.space, view.recipe.size) == ("RAS", head.sizes)
     np.testing.assert_allclose(view.recipe.strokes[0].at, at, atol=1e-9)
-    wanted = deformation_of(recipe, head, world=True)
+    wanted = deformation_of(Job("", "", recipe, volume=VolumeOptions(world=True)), head)
     assert view.document.deformation.strokes == wanted.strokes
 
 

@@ -383,14 +383,15 @@ def _deformation(
     recipe, elements = edits.recipe, edits.maps
     moving = Path(on).with_suffix(".mp4") if recipe.strokes and recipe.strokes[0].ndim == 3 else on
     job = Job(
-        on, moving, recipe, volume=reading, grid=None if elements.reference is None else GridOptions(elements.reference)
-    )
+        on, moving, recipe, volume=reading, fit=fit,
+        grid=None if elements.reference is None else GridOptions(elements.reference),
+    )  # fmt: skip
     job = elements.placed(current(), job)
     medium = job.medium
     if medium.grid is not None and medium.grid.ndim == 3:
         volume = medium.outline
         warn_of_frame(points, volume)
-        return on_volume(recipe, volume, world=reading.world, fit=fit, maps=job.maps), volume.geometry
+        return on_volume(job, volume), volume.geometry
     if reading.world:
         raise SuppleError(f"{argument('world')} is for volumes, and {on} is none: leave it out")
     refuse_places(recipe, on)

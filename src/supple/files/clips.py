@@ -120,9 +120,7 @@ def warp(job: Job, tell: Tell) -> Warped:
         known = job.clip
         with open_clip(job.source, rate=known.rate, count=count, target=job.target) as clip:
             bent = bent_of(clip, known)
-            deformations = deformations_of(
-                job.recipe, clip, known.time_scale, job.fit, tell, hold=known.hold, bent=bent
-            )
+            deformations = deformations_of(job, clip, tell, bent=bent)
             if count is None:
                 warn_of_still(job.recipe.strokes)
                 warn_of_frames(clip, deformations)
@@ -355,25 +353,17 @@ def parts_of(count: int, hold: int) -> tuple[float, ...]:
     return tuple(map(float, fade_of((count, 1, 1), hold).at([[0], [0], np.arange(count)]).ravel()))
 
 
-def deformations_of(
-    recipe: Recipe,
-    clip: Clip,
-    time_scale: float | None,
-    fit: Fit | None = None,
-    tell: Tell = lambda step, done, total: None,
-    *,
-    hold: int = 0,
-    bent: range | None = None,
-) -> tuple[Deformation, ...]:
-    """Return the deformations of a clip by a recipe: one, or one for each frame if its strokes move or fade.
+def deformations_of(job: Job, clip: Clip, tell: Tell, *, bent: range | None = None) -> tuple[Deformation, ...]:
+    """Return the deformations of a clip by a job: one, or one for each frame if its strokes move or fade.
 
-    ``hold`` is as in `ClipOptions`; deformations of frames that are not ``bent`` are not used, and arbitrary.
+    Deformations of frames that are not ``bent`` are not used, and arbitrary.
     """
+    recipe, fit, hold = job.recipe, job.fit, job.clip.hold
     count, shape, name = clip.count, clip.layout.shape, clip.name
     if recipe.straighten is not None:
         raise SuppleError(f"straightening is for pictures, and {name} is a clip: leave it out")
     if not (recipe.moves or (hold and recipe.strokes and recipe.strokes[0].ndim == 2)):
-        return (deformation_of(recipe, count, shape, time_scale, name, fit, clip.display, hold),)
+        return (deformation_of(recipe, count, shape, job.clip.time_scale, name, fit, clip.display, hold),)
     x, y, *size = clip.display or (0, 0, *shape[::-1])
     fitted = fit_recipe(recipe, size, fit, name).placed((x, y), shape[::-1])
     return motion_of(fitted, count, shape, tell, hold=hold, bent=bent)

@@ -99,7 +99,7 @@ def warp_on(source: Source, job: Job) -> Warp:
         deformation = Deformation.from_recipe(fitted, source.grid, maps=maps, warn=False)
     else:
         sampling = sampling.along_all_axes()
-        deformation = deformation_of(job.recipe, volume, world=known.world, fit=job.fit, maps=maps)
+        deformation = deformation_of(job, volume)
     work_of(source.space, dtype, deformation.space_on(regrid), sampling, alpha=False)  # raise its errors now
     return Warp(deformation, sampling, regrid)
 

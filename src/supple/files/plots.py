@@ -92,7 +92,7 @@ def plot_file(
     def once(count: int | None) -> Deformation:
         with clips.open_clip(source, rate=options.rate, count=count) as clip:
             height, width = clip.layout.shape
-            deformations = clips.deformations_of(recipe, clip, options.time_scale, job.fit, tell)
+            deformations = clips.deformations_of(job, clip, tell)
             deformation = deformations[0]
             if count is None:
                 clips.warn_of_frames(clip, deformations)
@@ -163,7 +163,7 @@ def _plot_volume(job: Job, what: str, plane: str | None) -> Deformation:
         raise SuppleError(f"{what} is for pictures and videos, and {shown(job.source)} is a volume: draw {kinds}")
     volume = open_volume(job.source, job.volume)
     out = grid_on(job.grid, volume.grid, volume.name, job.maps)
-    deformation = deformation_of(job.recipe, volume, world=job.volume.world, fit=job.fit, maps=job.maps)
+    deformation = deformation_of(job, volume)
     labels, samples = volume.is_segmentation or is_of_labels(volume), volume.rescaled()
     drawn.draw_volume(
         deformation, what, samples[0] if volume.series else samples, volume.grid, job.target,

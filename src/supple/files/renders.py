@@ -218,7 +218,7 @@ def scene_of(volume: Volume, job: Job, known: RenderOptions) -> Scene:
         raise SuppleError(text)
     deformation = None
     if job.recipe.strokes or maps or grid is not None:
-        deformation = deformation_of(job.recipe, volume, world=job.volume.world, fit=job.fit, maps=maps)
+        deformation = deformation_of(job, volume)
     warped = bool(maps) or grid is not None
     if warped and known.mode != "buffered":
         raise SuppleError(f"with fields and affine maps, the volume is warped first: leave mode {known.mode} out")
