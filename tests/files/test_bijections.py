@@ -19,7 +19,7 @@ pytest.importorskip("dask")
 from supple import Affine, Field, FoldWarning, OutsideWarning, Recipe, Stroke, SuppleError, ToleranceWarning  # noqa: E402
 from supple.engine.sampling import Certificate  # noqa: E402
 from supple.fields import Placed  # noqa: E402
-from supple.files import Warped, plans, transforms, warp_file  # noqa: E402
+from supple.files import Warped, stores, transforms, warp_file  # noqa: E402
 from supple.files.options import GridOptions, Running, VolumeOptions  # noqa: E402
 from supple.files.transforms import SavedField  # noqa: E402
 from supple.media.stores.image import open_image  # noqa: E402
@@ -45,7 +45,7 @@ FLAT = Recipe(strokes=[Stroke.grab((14, 12), to=(17, 14), radius=3)])
 def small() -> Iterator[None]:
     """Small tasks and chunks."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(plans, "TASK", 1 << 12)
+        patch.setattr(stores, "TASK", 1 << 12)
         patch.setattr(ngff, "_SIDES", {2: 16, 3: 8})
         yield
 

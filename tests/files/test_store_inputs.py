@@ -22,10 +22,10 @@ from PIL import Image  # noqa: E402
 
 from supple import Deformation, Recipe, Stroke, SuppleError  # noqa: E402
 from supple.errors import VolumeWarning  # noqa: E402
-from supple.files import plans, warp_file  # noqa: E402
+from supple.files import stores, warp_file  # noqa: E402
 from supple.files.jobs import Job  # noqa: E402
 from supple.files.options import GridOptions, VolumeOptions  # noqa: E402
-from supple.files.plans import plan_file  # noqa: E402
+from supple.files.stores import plan_file  # noqa: E402
 from supple.media.stores import inputs, target  # noqa: E402
 from supple.media.stores.image import open_image  # noqa: E402
 from supple.media.stores.inputs import Samples  # noqa: E402
@@ -42,7 +42,7 @@ DEEP = Recipe(strokes=[Stroke.grab((20, 16, 5), to=(23, 17, 6), radius=4)])
 @pytest.fixture(autouse=True)
 def small(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """Chunks and tasks of a few samples, in an empty folder."""
-    monkeypatch.setattr(plans, "TASK", 1 << 12)
+    monkeypatch.setattr(stores, "TASK", 1 << 12)
     monkeypatch.setattr(inputs, "_CHUNK", {2: 16, 3: 16})
     monkeypatch.setattr(inputs, "_COARSEST", 24)
     monkeypatch.chdir(tmp_path)

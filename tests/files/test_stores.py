@@ -29,10 +29,10 @@ pytest.importorskip("dask")
 from supple import Affine, Recipe, Stroke, SuppleError  # noqa: E402
 from supple.errors import VolumeWarning  # noqa: E402
 from supple.fields import Placed  # noqa: E402
-from supple.files import Warped, plans, tasks, warp_file  # noqa: E402
+from supple.files import Warped, stores, tasks, warp_file  # noqa: E402
 from supple.files.jobs import Job  # noqa: E402
 from supple.files.options import GridOptions, Running, VolumeOptions  # noqa: E402
-from supple.files.plans import plan_file  # noqa: E402
+from supple.files.stores import plan_file  # noqa: E402
 from supple.files.tasks import runner_of  # noqa: E402
 from supple.media.stores.image import open_image  # noqa: E402
 from supple.media.stores.levels import reduced  # noqa: E402
@@ -50,7 +50,7 @@ DEEP = Recipe(strokes=[Stroke.grab((14, 12, 4), to=(16, 13, 5), radius=2)])
 @pytest.fixture(autouse=True)
 def small(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """Tasks of a few chunks, in an empty folder."""
-    monkeypatch.setattr(plans, "TASK", 1 << 12)
+    monkeypatch.setattr(stores, "TASK", 1 << 12)
     monkeypatch.chdir(tmp_path)
 
 
@@ -190,8 +190,8 @@ def test_in_memory(memory: str) -> None:
 KILLED = """
 import os, signal, sys
 from supple import Recipe, Stroke
-from supple.files import plans, stores, warp_file
-plans.TASK = 1 << 12
+from supple.files import stores, warp_file
+stores.TASK = 1 << 12
 real, calls = stores._write_block, []
 def killing(work, item):
     calls.append(item)
