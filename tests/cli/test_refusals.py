@@ -295,13 +295,7 @@ REFUSED: dict[str, list[tuple[str, str]]] = {
     ],
     "warp in.zarr out.zarr FLAT": [
         ("--quality 9", "--quality is for pictures and clips, and in.zarr is a store"),
-        ("--lossless", "--lossless is for pictures and clips, and in.zarr is a store"),
-        ("--linear-light", "--linear-light is for pictures and clips, and in.zarr is a store"),
-        ("--clamp", "--clamp is for pictures and volumes, and in.zarr is a store"),
-        ("--no-clamp", "--no-clamp is for pictures and volumes, and in.zarr is a store"),
         ("--between cubic", "--between is for clips, and in.zarr is a store"),
-        ("--time-scale 2", "--time-scale is for clips, and in.zarr is a store"),
-        ("--fps 2", "--fps is for clips, and in.zarr is a store"),
         ("--save-field f.nii", "OME-Zarr … f.nii … name it .zarr"),
         ("--save-field out.zarr", "out.zarr cannot be the field and an image"),
         ("--save-field in.zarr/map.zarr", "cannot be the field and an image"),

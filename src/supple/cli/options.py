@@ -416,8 +416,8 @@ def convention_of(path: str, reading: "Reading") -> str | None:
 
     For several files, it is that of the first; for standard input, which cannot be read twice, that of DICOM.
     """
-    from supple.files.volumes import place_of
-    from supple.media.medium import ONE_FILE, holds_volumes
+    from supple.media.files import is_store
+    from supple.media.medium import ONE_FILE, holds_volumes, opened
     from supple.media.suffixes import suffix_of
 
     if path == STREAM:
@@ -426,7 +426,9 @@ def convention_of(path: str, reading: "Reading") -> str | None:
         path = min(glob.glob(path, recursive=True), default=path)
     elif holds_volumes(path):
         path = os.path.join(path, min(name for name in os.listdir(path) if suffix_of(name) in ONE_FILE))
-    return place_of(path, reading)
+    medium = opened(path, axes=None if is_store(path) else 3, how=reading.how)
+    solid = medium.kind in ("volume", "store") and medium.grid is not None and medium.grid.ndim == 3
+    return medium.outline.geometry.convention if solid else None
 
 
 @options_of(WRITING)

@@ -30,9 +30,8 @@ from supple.errors import SuppleError, spelling
 
 if TYPE_CHECKING:
     from supple.deformation import Deformation
-    from supple.files.meshes import MeshFile
     from supple.files.options import VolumeOptions as Reading
-    from supple.files.renders import RenderOptions
+    from supple.files.renders import MeshFile, RenderOptions
     from supple.render.box import Clip, Plane
     from supple.render.camera import Camera
     from supple.space.geometry import Geometry
@@ -221,7 +220,7 @@ class LookOptions:
 
 
 def _mesh(text: str) -> MeshFile:
-    from supple.files.meshes import MeshFile
+    from supple.files.renders import MeshFile
 
     path, _, digits = text.rpartition(":#")
     return MeshFile(path, _colour("--mesh", digits, "must end in")) if path else MeshFile(text)

@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from supple.engine.sampling import Sampling
+from supple.engine.work import Tell, silent
 from supple.fields import Placed
 from supple.files.jobs import Job, Warped
 from supple.files.options import ClipOptions, GridOptions, PathLike, Running, VolumeOptions
@@ -31,7 +32,7 @@ def warp_file(
     device: str = "cpu",
     force: bool = False,
     progress: bool | Callable[[str], None] = False,
-    tell: Callable[[str, int, int], None] | None = None,
+    tell: Tell = silent,
     clip: ClipOptions | None = None,
     volume: VolumeOptions | None = None,
     fit: Fit | None = None,

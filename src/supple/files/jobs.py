@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import contextlib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from importlib import import_module
@@ -14,7 +13,7 @@ from supple.arrays import check_device
 from supple.deformation import Arrival, Deformation, Report
 from supple.engine.progress import counted, staged
 from supple.engine.sampling import DEFAULT, Sampling
-from supple.engine.work import Tell
+from supple.engine.work import Tell, silent
 from supple.errors import SuppleError, argument, shown
 from supple.fields import Placed
 from supple.files.options import ClipOptions, GridOptions, PathLike, Running, VolumeOptions
@@ -130,15 +129,9 @@ class Job:
         check_device(self.device, f"{medium.kind}s" if medium.kind in ("clip", "store") else "")
         return medium
 
-    def warp(self, progress: bool | Callable[[str], None] = False, tell: Tell | None = None) -> Warped:
+    def warp(self, progress: bool | Callable[[str], None] = False, tell: Tell = silent) -> Warped:
         """Warp the file; parameters as in `supple.files.warp_file`."""
         kind = self.check().kind
-        with self._counts(kind, progress, tell) as counts:
-            made: Warped = import_module(_MODULES[kind]).warp(self, counts)
-        return made
-
-    @contextlib.contextmanager
-    def _counts(self, kind: Kind, progress: bool | Callable[[str], None], tell: Tell | None) -> Iterator[Tell]:
         if kind == "picture" and not callable(progress):
             shows = staged(self.source, progress)
         else:
@@ -147,10 +140,10 @@ class Job:
 
             def both(step: str, done: int, total: int) -> None:
                 show(step, done, total)
-                if tell is not None:
-                    tell(step, done, total)
+                tell(step, done, total)
 
-            yield both
+            made: Warped = import_module(_MODULES[kind]).warp(self, both)
+        return made
 
 
 def asked(name: str, value: object) -> str:

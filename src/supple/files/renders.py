@@ -1,4 +1,4 @@
-"""Rendering volume files as images and turntables."""
+"""Rendering volume files as images and turntables, with meshes and contours from files."""
 
 from __future__ import annotations
 
@@ -16,14 +16,16 @@ import numpy.typing as npt
 from supple.arrays import warp_array
 from supple.engine.sampling import Sampling, warn_of
 from supple.engine.work import Array, Tell
-from supple.errors import SuppleError, VolumeWarning, argument, shown
+from supple.errors import OutsideWarning, SuppleError, VolumeWarning, argument, shown
 from supple.files.grids import grid_on
 from supple.files.jobs import Job
-from supple.files.meshes import MeshFile, read_surfaces
+from supple.files.landmarks import convention_of, warn_of_frame
 from supple.files.volumes import background_of, deformation_of, is_of_labels, open_volume
 from supple.media import image, pictures, turntable
 from supple.media.files import PathLike, check_output, check_outputs, check_suffix, replacing, replacing_all
+from supple.media.meshes import KINDS
 from supple.media.numbering import has_number, spelling
+from supple.media.points import read_points
 from supple.media.volume import Volume
 from supple.render.appearance import cropped, fixed, is_hounsfield, largest, without_table
 from supple.render.box import Clip, Plane
@@ -42,6 +44,23 @@ _TABLE = ".ctbl"
 _LABEL_INTENT = 1002  # NIFTI_INTENT_LABEL
 _RATE = 24.0  # pictures a second
 LIGHTLESS = (".png", ".tif", ".tiff", ".webp", ".avif")  # formats with opacity, whose background may be transparent
+Colour = tuple[float, float, float]
+COLOURS = (
+    (0.31, 0.66, 0.87), (0.95, 0.76, 0.31), (0.42, 0.75, 0.41), (0.82, 0.42, 0.65), (0.94, 0.54, 0.29),
+    (0.56, 0.49, 0.76),
+)  # fmt: skip
+"""sRGB colours for meshes without a colour, used in turn."""
+_FARTHEST = 1e7  # voxels
+
+
+@dataclass(frozen=True, slots=True)
+class MeshFile:
+    """A mesh or contours in a file, and their colour."""
+
+    path: PathLike  # .stl, .obj, .ply, .vtk (PolyData), .vtp; or a structure set of DICOM, .dcm
+    colour: Colour | None = (
+        None  # sRGB from 0 to 1; by default, that of each region of a structure set, or of `COLOURS`
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,7 +83,7 @@ class RenderOptions:
     meshes : sequence of MeshFile
         Meshes and contours that are rendered with the volume, and move with it.
     convention : str, optional
-        The convention of meshes without their own, as in `supple.files.meshes.read_surfaces`.
+        The convention of meshes without their own, as in `read_surfaces`.
     table : bool
         Whether CT presets also show parts apart from the body: see `supple.render.appearance.without_table`.
     largest : bool
@@ -155,6 +174,41 @@ class RenderOptions:
             for name in ("meshes", "shadows", "silhouettes", "turntable", "annotate", "legend", "background"):
                 if getattr(self, name):
                     raise SuppleError(f"inversions are drawn as one plot, of the volume alone: leave {name} out")
+
+
+def read_surfaces(given: Sequence[MeshFile], volume: Volume, convention: str | None = None) -> tuple[Surface, ...]:
+    """Return the surfaces and contours of files, in voxels of a volume.
+
+    ``convention`` is that of files without their own: ``"LPS"`` or ``"RAS"`` in millimetres, or ``"index"``.
+    SuppleError if a file cannot be read, has neither faces nor lines, or cannot be placed in the volume; OutsideWarning
+    if none of a file's points lies in it.
+    """
+    if convention is not None:
+        choice("convention", convention, ("LPS", "RAS", "index"))
+    made: list[Surface] = []
+    for each in given:
+        advice = f"give a mesh or contours: {', '.join(KINDS)}"
+        check_suffix(each.path, os.path.splitext(each.path)[1], KINDS, "is of no mesh", advice, "read")
+        read = read_points(each.path, mesh=True)
+        warn_of_frame(each.path, volume)
+        known = convention_of(read, convention if read.told == "mesh" else None, volume.geometry.convention)
+        points = read.points if known == "index" else volume.geometry.from_world(read.points, known)
+        parts = read.parts()
+        if len(points) and np.abs(points).max() > _FARTHEST:
+            text = f"{read.name} has a vertex {np.abs(points).max():.2g} voxels away: give a whole copy of it"
+            raise SuppleError(text)
+        if ((points < -0.5) | (points > np.array(volume.sizes) - 0.5)).any(axis=1).all():
+            text = f"no point of {read.name} lies in {volume.name}"
+            warnings.warn(f"{text}: see whether its coordinates are of that volume", OutsideWarning, stacklevel=4)
+        for part in parts:
+            colour = each.colour or part.colour or COLOURS[len(made) % len(COLOURS)]
+            used = np.zeros(len(points), np.bool_)  # points of no face or line are invisible
+            for corners in (part.triangles, part.lines):
+                used[corners] = True
+            order = np.cumsum(used) - 1
+            if used.any():
+                made.append(Surface(points[used], order[part.triangles], order[part.lines], colour))
+    return tuple(made)
 
 
 def default_transfer(volume: Volume) -> Transfer | str:

@@ -27,8 +27,7 @@ from supple.files.grids import grid_on, reference_grid, warn_of_place
 from supple.files.jobs import Job, Warped
 from supple.files.options import GridOptions, PathLike, VolumeOptions
 from supple.folding.resolved import warn_of_still
-from supple.media.files import check_output, is_store, replacing
-from supple.media.medium import opened
+from supple.media.files import check_output, replacing
 from supple.media.volume import Volume, check_target, derived, read, suffix_of, write
 from supple.media.volume.dicom import padding_of
 from supple.space.geometry import Floats, Geometry, Grid
@@ -59,13 +58,6 @@ class Flowing:
 def open_volume(source: PathLike, options: VolumeOptions | None = None) -> Volume:
     """Return a volume with the samples as stored; `Volume.rescaled` returns the scaled values."""
     return read(source, **(options or VolumeOptions()).how)
-
-
-def place_of(path: PathLike, options: VolumeOptions | None = None) -> str | None:
-    """Return the convention of a volume's geometry, as in `Geometry`, for points of three numbers; None for a clip."""
-    medium = opened(path, axes=None if is_store(path) else 3, how=(options or VolumeOptions()).how)
-    solid = medium.kind in ("volume", "store") and medium.grid is not None and medium.grid.ndim == 3
-    return medium.outline.geometry.convention if solid else None
 
 
 def deformation_of(job: Job, volume: Volume) -> Deformation:
