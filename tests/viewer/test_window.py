@@ -127,7 +127,7 @@ def test_a_clip_plays_and_is_bent_in_time(gpu: Gpu, state: Path) -> None:
         from supple.engine.stream import make_plan
         from supple.files.clips import deformation_of, sampling_of, streamed, work_on
 
-        d = deformation_of(view.recipe, clip.count, clip.layout.shape, 1.0, clip.name)
+        d = deformation_of(Job("", "", view.recipe, clip=ClipOptions(time_scale=1.0)), clip)
         work = work_on(clip, (d,), sampling_of(clip))
         ((_, arrays, _),) = streamed(clip, work, make_plan(work, [5]), 2e9)
         wanted = clip.to_rgb(arrays)

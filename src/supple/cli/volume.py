@@ -382,7 +382,7 @@ def _deformation(
     recipe, elements = edits.recipe, edits.maps
     moving = Path(on).with_suffix(".mp4") if recipe.strokes and recipe.strokes[0].ndim == 3 else on
     job = Job(
-        on, moving, recipe, volume=reading, fit=fit,
+        on, moving, recipe, volume=reading, fit=fit, clip=video.to_clip(),
         grid=None if elements.reference is None else GridOptions(elements.reference),
     )  # fmt: skip
     job = elements.placed(current(), job)
@@ -395,7 +395,6 @@ def _deformation(
         raise SuppleError(f"{argument('world')} is for volumes, and {on} is none: leave it out")
     refuse_places(recipe, on)
     if (own := medium.grid) is None:
-        known = video.to_clip()
-        with open_clip(on, rate=known.rate) as clip:
-            return on_clip(recipe, clip.count, clip.layout.shape, known.time_scale, clip.name, fit), None
+        with open_clip(on, rate=job.clip.rate) as clip:
+            return on_clip(job, clip), None
     return Deformation.from_recipe(fit_recipe(recipe, own.sizes, fit, on), own, maps=job.maps), None

@@ -29,7 +29,7 @@ from supple.files.grids import grid_on
 from supple.files.jobs import Job, Warped
 from supple.files.options import Running, VolumeOptions
 from supple.files.tasks import Runner, advancing, check_seen, check_shared, runner_of
-from supple.files.transforms import SavedField, begin_field, check_field, is_scene, write_field, write_transform
+from supple.files.transforms import SavedField, begin_field, check_field, write_field, write_transform
 from supple.files.volumes import deformation_of, filtered, least_of, warn_of_labels
 from supple.media.files import ROOTS, PathLike, check_store, is_store, replacing, unwritable
 from supple.media.stores.image import LABELS, StoredImage
@@ -99,7 +99,7 @@ def warp(job: Job, tell: Tell) -> Warped:
     field = None
     if known.save_field is not None:
         check_field(known.save_field, (source, target), flat=opened.geometry is None, force=force)
-        if is_scene(known.save_field):
+        if is_store(known.save_field):
             scale, translation = _located(opened, made.grid, known.save_field)
             axes = list(image.spatial)
             samples = Placement(made.shape, [scale[axis] for axis in axes], [translation[axis] for axis in axes])
