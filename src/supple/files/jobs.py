@@ -99,18 +99,18 @@ class Job:
         """Raise SuppleError for options that the kind of file does not have."""
         medium = self.medium
         name = medium.name if medium.kind != "store" or is_store(self.source) else shown(self.target)
-        solid = ("volume", "store")
-        if medium.kind not in solid:
+        noun = "Zarr store" if medium.kind == "store" else medium.kind
+        if medium.kind not in ("volume", "store"):
             refuse_places(self.recipe, self.source)
         for option, (usual, kinds) in OPTIONS.items():
             value = getattr(self, option)
             if medium.kind not in kinds and value != usual:
-                where = " and ".join(f"{kind}s" for kind in kinds)
-                raise SuppleError(f"{asked(option, value)} is for {where}, and {name} is a {medium.kind}: leave it out")
+                where = " and ".join(f"{kind}s" for kind in kinds if kind != "store") or "Zarr stores"
+                raise SuppleError(f"{asked(option, value)} is for {where}, and {name} is a {noun}: leave it out")
         if self.grid is not None and self.grid.strokes and medium.kind != "volume":
-            raise SuppleError(f"{argument('fixed')} is for volumes, and {name} is a {medium.kind}: leave it out")
+            raise SuppleError(f"{argument('fixed')} is for volumes, and {name} is a {noun}: leave it out")
         if medium.kind != "picture" and self.recipe.straighten is not None:
-            raise SuppleError(f"straightening is for pictures, and {name} is a {medium.kind}: leave it out")
+            raise SuppleError(f"straightening is for pictures, and {name} is a {noun}: leave it out")
         if medium.kind == "picture" and self.recipe.moves:
             moving = "strokes with keys move" if any(each.keys for each in self.recipe.strokes) else "the matte moves"
             raise SuppleError(
