@@ -29,7 +29,7 @@ from supple.augment import RandomElastic, apply
 from supple.files.jobs import Job
 from supple.files.options import VolumeOptions
 from supple.files.plots import plot_file
-from supple.files.tracks import follow_tracks
+from supple.files.tracking import follow_tracks
 from supple.files.volumes import open_volume
 from supple.media import image
 from supple.media.faces import read_faces

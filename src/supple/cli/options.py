@@ -343,7 +343,7 @@ class TrackOptions:
         if auto and (len(paths) != 2 or paths[0] == STREAM):
             raise SuppleError("--track auto follows points through one clip: give the name of one, and of one to write")
         from supple.engine.progress import counted
-        from supple.files.tracks import follow_tracks
+        from supple.files.tracking import follow_tracks
 
         with counted(current().terminal) as tell, counting(frames.first):
             return follow_tracks(
