@@ -40,6 +40,8 @@ def test_a_store_is_bent(run: Run) -> None:
     assert np.array_equal(zarr.open("out.zarr")[...], zarr.open("same.zarr")[...])
     assert run("warp", "in.zarr", "again.zarr", "--recipe", "strokes.json")[0] == 0
     assert np.array_equal(zarr.open("again.zarr")[...], zarr.open("same.zarr")[...])
+    assert run("warp", "in.zarr", "part.zarr", *FLAT[:-1], "12.5%")[0] == 0  # of the shortest side
+    assert np.array_equal(zarr.open("part.zarr")[...], zarr.open("same.zarr")[...])
 
 
 def test_a_field_is_saved(run: Run) -> None:

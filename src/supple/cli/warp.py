@@ -421,7 +421,7 @@ def plan(
 def _described(name: str, found: "Planned") -> str:
     from rich.filesize import decimal
 
-    from supple.cli.info import listed
+    from supple.cli.describe import listed
 
     each = " x ".join(map(str, found.block))
     copies = f"{found.copied} of them copies of what no stroke reaches ({decimal(found.copied_bytes)} uncompressed)"

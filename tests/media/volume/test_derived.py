@@ -10,7 +10,7 @@ import SimpleITK as sitk  # noqa: N813
 
 import supple
 from supple.cli import command
-from supple.cli.info import describe
+from supple.cli.describe import describe
 from supple.errors import SuppleError, VolumeWarning
 from supple.fields import Placed
 from supple.files.options import GridOptions, VolumeOptions
