@@ -21,7 +21,7 @@ class LazyFrame:
     copy_to: Callable[[Sequence[Array]], None]
 
 
-class Source:
+class FrameSource:
     """The properties of a clip, and what a video that is written takes over; empty without a counterpart in images."""
 
     name: str

@@ -21,7 +21,7 @@ from supple.engine.stream import Frame
 from supple.engine.work import Array, Group, Layout
 from supple.errors import SuppleError, shown
 from supple.media import image as pictures
-from supple.media.base import ClipWarning, LazyFrame, Source
+from supple.media.base import ClipWarning, FrameSource, LazyFrame
 from supple.media.files import PathLike, check_outputs, first_bytes, replacing_all
 from supple.media.image import ImageWarning, MetadataWarning, PageWarning, Picture, exr
 from supple.media.image.formats import DTYPES, divided, is_exr
@@ -34,7 +34,7 @@ from supple.space.checks import number
 _WHITE = {"uint8": 255.0, "uint16": 65535.0, "float32": 1.0}
 
 
-class Pictures(Source):
+class Pictures(FrameSource):
     """Images of one size and type, as the frames of a clip, in one group: a grid of pixels."""
 
     stills = True

@@ -22,7 +22,7 @@ import numpy as np
 
 from supple._core import threads as all_threads
 from supple.engine.work import Array
-from supple.media.base import ClipWarning, CountError, LazyFrame, Source
+from supple.media.base import ClipWarning, CountError, FrameSource, LazyFrame
 from supple.media.codecs import codec_of
 from supple.media.files import PathLike, unreadable
 from supple.media.video import demux
@@ -50,7 +50,7 @@ _FINEST = 1 << 31  # ticks a second
 _MOST = 1000  # frames a second; higher rates are tick counts
 
 
-class Clip(Source):
+class Clip(FrameSource):
     """An open video file: its main video stream, called the film, and its other streams; see `open_clip`."""
 
     codec: str  # such as "h264"

@@ -15,7 +15,7 @@ from av.filter import Graph
 
 from supple.engine.work import Array
 from supple.errors import SuppleError
-from supple.media.base import Source
+from supple.media.base import FrameSource
 from supple.media.codecs import STILLS, codec_of
 from supple.media.files import PathLike, check_output, replacing, unwritable
 from supple.media.sequence import Pictures
@@ -33,7 +33,7 @@ class Sink:
 
     aside = True
 
-    def __init__(self, video: Source, plan: WritePlan, temporary: Path) -> None:
+    def __init__(self, video: FrameSource, plan: WritePlan, temporary: Path) -> None:
         self._plan, self._video = plan, video
         self._colour = replace(video.colour, site=sited(video.colour, video.codec, video.form.kind))
         self._times: dict[int, tuple[int, int]] = {}
@@ -277,7 +277,7 @@ def _as_film(pictures: Pictures) -> None:
 
 @contextlib.contextmanager
 def writer(
-    video: Source,
+    video: FrameSource,
     target: PathLike,
     *,
     force: bool = False,

@@ -17,7 +17,7 @@ import numpy as np
 
 from supple._core import threads as all_threads
 from supple.errors import SuppleError, shown
-from supple.media.base import ClipWarning, Source
+from supple.media.base import ClipWarning, FrameSource
 from supple.media.codecs import (
     ALIASES,
     CODECS,
@@ -137,7 +137,7 @@ class WritePlan:
 
     def __init__(
         self,
-        video: Source,
+        video: FrameSource,
         target: PathLike,
         *,
         codec: str | None = None,
@@ -445,7 +445,7 @@ def open_encoder(context: av.VideoCodecContext) -> None:
             os.sched_setscheduler(0, policy, parameters)
 
 
-def timescale(video: Source) -> int:
+def timescale(video: FrameSource) -> int:
     """Return the ticks a second for the start times of an MP4's streams, such that none is rounded, if possible."""
     streams = video.source.streams if video.source else ()
     bases = [video.base, *(stream.time_base for stream in streams if stream.type in ("audio", "video"))]
@@ -540,7 +540,7 @@ def _pictured(kind: Kind, colour: Colour) -> bool:
     return kind.family == "rgb" or (kind.family == "gray" and colour.matrix == RGB)
 
 
-def _matched(video: Source, to: Form, exact: bool, told: Colour) -> Match:
+def _matched(video: FrameSource, to: Form, exact: bool, told: Colour) -> Match:
     source, colour = video.form, video.colour
     whole = to.name.startswith("yuvj")
     same = source.kind == to.kind and not (whole and not colour.full(source))
