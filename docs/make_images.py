@@ -26,9 +26,10 @@ from scipy import ndimage
 
 import supple
 from supple.augment import RandomElastic, apply
+from supple.files.jobs import Job
 from supple.files.options import VolumeOptions
 from supple.files.plots import plot_file
-from supple.files.tracks import follow_tracks
+from supple.files.tracking import follow_tracks
 from supple.files.volumes import open_volume
 from supple.media import image
 from supple.media.faces import read_faces
@@ -362,7 +363,7 @@ def planes_drawn(folder: Path) -> None:
     with tempfile.TemporaryDirectory() as place:
         png = Path(place) / "plot.png"
         options = VolumeOptions(world=True)
-        plot_file(DATA / "head.nii.gz", png, supple.Recipe(strokes=(stroke,)), volume=options, plane="sagittal:0")
+        plot_file(Job(DATA / "head.nii.gz", png, supple.Recipe(strokes=(stroke,)), volume=options), plane="sagittal:0")
         pyvips.Image.new_from_file(str(png)).flatten(background=WHITE).resize(0.6).webpsave(
             folder / "plot-volume.webp", Q=80, effort=6, keep="none"
         )

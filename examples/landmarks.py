@@ -13,7 +13,7 @@ from head import BACKGROUND, HEAD
 import supple
 from supple.files.landmarks import move_points
 from supple.files.options import VolumeOptions
-from supple.files.volumes import open_volume, warp_volume
+from supple.files.volumes import open_volume
 from supple.media import image, points
 from supple.render.camera import Camera
 from supple.render.scene import Scene
@@ -39,7 +39,7 @@ def main(folder: Path, path: Path = HEAD) -> None:
     target, field = folder / "bent.nii.gz", folder / "field.nii.gz"
     options = VolumeOptions(world=True, save_field=field)
     recipe = supple.Recipe(strokes=[BRUSH], border=20)
-    made = warp_volume(path, target, recipe, filter="linear", force=True, options=options)
+    made = supple.warp_file(path, target, recipe, filter="linear", force=True, volume=options)
 
     rows = ["name,r,a,s", *(f"{name},{r},{a},{s}" for name, (r, a, s) in MARKS.items())]
     (folder / "marks.csv").write_text("\n".join(rows) + "\n", encoding="utf-8")

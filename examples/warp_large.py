@@ -12,7 +12,6 @@ import zarr
 import supple
 import supple.dask
 from supple.files.options import VolumeOptions
-from supple.files.stores import warp_store
 from supple.media import image
 
 HEAD = Path(supple.__file__).parent / "examples" / "data" / "head.nii.gz"
@@ -21,13 +20,13 @@ STROKE = supple.Stroke.grab((45, 88, 62), to=(45, 76, 58), radius=16, reach=2)  
 
 def main(folder: Path) -> None:
     # A volume becomes an OME-Zarr image, with its axes, units and position; without strokes, it is as it was.
-    made = warp_store(HEAD, folder / "head.zarr", supple.Recipe(strokes=[]), force=True)
+    made = supple.warp_file(HEAD, folder / "head.zarr", supple.Recipe(strokes=[]), force=True)
     print(f"{made.shape} voxels in {made.blocks} blocks")
 
     # A store becomes another one; the map is written beside it, in both directions.
     options = VolumeOptions(save_field=folder / "map.zarr")
-    made = warp_store(
-        folder / "head.zarr", folder / "bent.zarr", supple.Recipe(strokes=[STROKE]), options=options, force=True
+    made = supple.warp_file(
+        folder / "head.zarr", folder / "bent.zarr", supple.Recipe(strokes=[STROKE]), volume=options, force=True
     )
     print(f"source points are known within {made.field.forward:.2g} voxels; the way back is explicit")
     head, bent = (zarr.open_group(folder / name, mode="r")["0"] for name in ("head.zarr", "bent.zarr"))

@@ -2,11 +2,17 @@
 
 from fractions import Fraction
 from pathlib import Path
+from types import SimpleNamespace
 
 import av
 import numpy as np
 
 SIZE = (64, 48)
+
+
+def closed(name, count, shape):
+    """Return the properties of a clip that its deformation depends on."""
+    return SimpleNamespace(name=name, count=count, layout=SimpleNamespace(shape=shape), display=None)
 
 
 def noise(pixel_format, size, seed, smooth=False):

@@ -14,8 +14,7 @@ import pytest
 zarr = pytest.importorskip("zarr")
 pytest.importorskip("dask")
 
-from supple import Recipe, Stroke  # noqa: E402
-from supple.files.stores import warp_store  # noqa: E402
+from supple import Recipe, Stroke, warp_file  # noqa: E402
 from tests.children import start  # noqa: E402
 from tests.cli.commands import Run, one_line  # noqa: E402
 
@@ -37,10 +36,12 @@ def test_a_store_is_bent(run: Run) -> None:
     assert facts["blocks"] >= 1
     assert facts["done"] == 0
     stroke = Stroke.grab((14, 12), to=(17, 14), radius=5)
-    warp_store("in.zarr", "same.zarr", Recipe(strokes=[stroke]))
+    warp_file("in.zarr", "same.zarr", Recipe(strokes=[stroke]))
     assert np.array_equal(zarr.open("out.zarr")[...], zarr.open("same.zarr")[...])
     assert run("warp", "in.zarr", "again.zarr", "--recipe", "strokes.json")[0] == 0
     assert np.array_equal(zarr.open("again.zarr")[...], zarr.open("same.zarr")[...])
+    assert run("warp", "in.zarr", "part.zarr", *FLAT[:-1], "12.5%")[0] == 0  # of the shortest side
+    assert np.array_equal(zarr.open("part.zarr")[...], zarr.open("same.zarr")[...])
 
 
 def test_a_field_is_saved(run: Run) -> None:

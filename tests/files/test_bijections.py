@@ -19,10 +19,8 @@ pytest.importorskip("dask")
 from supple import Affine, Field, FoldWarning, OutsideWarning, Recipe, Stroke, SuppleError, ToleranceWarning  # noqa: E402
 from supple.engine.sampling import Certificate  # noqa: E402
 from supple.fields import Placed  # noqa: E402
-from supple.files import plans, transforms  # noqa: E402
-from supple.files.options import GridOptions, VolumeOptions  # noqa: E402
-from supple.files.stores import WarpedStore, warp_store  # noqa: E402
-from supple.files.tasks import Running  # noqa: E402
+from supple.files import Warped, stores, transforms, warp_file  # noqa: E402
+from supple.files.options import GridOptions, Running, VolumeOptions  # noqa: E402
 from supple.files.transforms import SavedField  # noqa: E402
 from supple.media.stores.image import open_image  # noqa: E402
 from supple.media.stores.target import Target  # noqa: E402
@@ -47,7 +45,7 @@ FLAT = Recipe(strokes=[Stroke.grab((14, 12), to=(17, 14), radius=3)])
 def small() -> Iterator[None]:
     """Small tasks and chunks."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(plans, "TASK", 1 << 12)
+        patch.setattr(stores, "TASK", 1 << 12)
         patch.setattr(ngff, "_SIDES", {2: 16, 3: 8})
         yield
 
@@ -104,7 +102,7 @@ def placed(name: str, which: int) -> tuple[list[float], list[float], list[dict[s
     return scale[1:], translation[1:], told["coordinateSystems"][0]["axes"]
 
 
-def check(made: WarpedStore, pull: Array, push: Array, tolerance: float = 0.01) -> None:
+def check(made: Warped, pull: Array, push: Array, tolerance: float = 0.01) -> None:
     """Check fields in samples: T(q + u(q)) = q, to the tolerance, and u(p) = T(p) - p."""
     d = made.deformation
     indices = np.moveaxis(np.indices(d.shape, np.float64), 0, -1)[..., ::-1]
@@ -141,7 +139,7 @@ def test_both_directions_are_in_the_units_of_the_image(case: str) -> None:
     n = len(space)
     image("in.zarr", axes, version if version != "0.4" else "0.5", unit, turned=case == "turned")
     recipe = FLAT if n == 2 else strokes({"micrometer": 1e-3, "millimeter": 1}.get(unit or "", 1))
-    made = warp_store("in.zarr", "out.zarr", recipe, options=MAP)
+    made = warp_file("in.zarr", "out.zarr", recipe, volume=MAP)
     scale = tuple(SCALE[name] for name in space)
     pull, push = fields("map.zarr", n, scale)
     check(made, pull, push)
@@ -163,7 +161,7 @@ def test_both_directions_are_in_the_units_of_the_image(case: str) -> None:
 
 def test_what_the_scene_says() -> None:
     image("in.zarr", "zyx")
-    made = warp_store("in.zarr", "out.zarr", DEEP, options=MAP)
+    made = warp_file("in.zarr", "out.zarr", DEEP, volume=MAP)
     assert made.field is not None
     told = json.loads(Path("map.zarr/zarr.json").read_text())["attributes"]
     scene = told["ome"]["scene"]
@@ -190,7 +188,7 @@ def test_it_is_read_as_the_map_that_was_applied(unit: str, turned: bool) -> None
     """Also as a file of ITK, which another writer makes of the volume's geometry in millimetres."""
     image("in.zarr", "czyx", unit=unit, turned=turned)
     recipe = strokes({"micrometer": 1e-3}.get(unit, 1))
-    made = warp_store("in.zarr", "out.zarr", recipe, options=MAP)
+    made = warp_file("in.zarr", "out.zarr", recipe, volume=MAP)
     field, own = Field.read("map.zarr"), open_image("in.zarr").grid
     indices = np.moveaxis(np.indices(own.shape, np.float64), 0, -1)[..., ::-1]
     assert np.allclose(field.grid.positions(indices), own.positions(indices), rtol=1e-12, atol=0)
@@ -198,7 +196,7 @@ def test_it_is_read_as_the_map_that_was_applied(unit: str, turned: bool) -> None
     off = field.grid.positions(indices) + field.values - source
     assert np.abs(off / own.spacing @ np.array(own.direction)).max() < 0.0101
     options = VolumeOptions(save_field="map.nrrd")
-    saved = warp_store("in.zarr", "more.zarr", recipe, options=options).field
+    saved = warp_file("in.zarr", "more.zarr", recipe, volume=options).field
     assert saved is not None
     assert saved.inverse is None
     theirs = Field.read("map.nrrd", "itk")
@@ -208,7 +206,7 @@ def test_it_is_read_as_the_map_that_was_applied(unit: str, turned: bool) -> None
 
 def test_plain_arrays_are_in_indices() -> None:
     zarr.create_array("in.zarr", data=RNG.random((12, 28, 26)), chunks=(8, 8, 8))
-    made = warp_store("in.zarr", "out.zarr", strokes(1), options=MAP, grid=GridOptions(crop=(5, 6, 2, 20, 22, 7)))
+    made = warp_file("in.zarr", "out.zarr", strokes(1), volume=MAP, grid=GridOptions(crop=(5, 6, 2, 20, 22, 7)))
     check(made, *fields("map.zarr", 3, (1, 1, 1)))
     assert placed("map.zarr", 0)[1] == [2, 6, 5]
     assert placed("map.zarr", 1)[1] == [0, 0, 0]
@@ -226,7 +224,7 @@ def test_plain_arrays_are_in_indices() -> None:
 )
 def test_on_another_grid(grid: GridOptions) -> None:
     image("in.zarr", "zyx")
-    made = warp_store("in.zarr", "out.zarr", DEEP, options=MAP, grid=grid)
+    made = warp_file("in.zarr", "out.zarr", DEEP, volume=MAP, grid=grid)
     scale = (3.0, 0.5, 0.8)
     check(made, *fields("map.zarr", 3, scale))
     written = open_image("out.zarr")
@@ -245,7 +243,7 @@ def test_affine_maps_and_fields() -> None:
     grid = open_image("in.zarr").grid
     wave = 1.5e-3 * np.sin(np.moveaxis(np.indices((12, 28, 26)), 0, -1) / 6)
     maps = [Placed(Field(wave, grid, beyond="edge")), Placed(turn, after=1), Placed(turn, inverse=True, after=2)]
-    made = warp_store("in.zarr", "out.zarr", DEEP, options=MAP, maps=maps)
+    made = warp_file("in.zarr", "out.zarr", DEEP, volume=MAP, maps=maps)
     check(made, *fields("map.zarr", 3, (3, 0.5, 0.8)))
     assert made.field is not None
     assert made.field.inverse == 0
@@ -257,7 +255,7 @@ def test_a_field_that_folds_is_told_of_both_ways() -> None:
     wave = np.zeros((12, 28, 26, 3))
     wave[..., 0] = 6e-3 * np.sin(np.arange(26) / 2)
     with pytest.warns((FoldWarning, OutsideWarning)) as seen:
-        made = warp_store("in.zarr", "out.zarr", Recipe(), options=MAP, maps=[Placed(Field(wave, grid), inverse=True)])
+        made = warp_file("in.zarr", "out.zarr", Recipe(), volume=MAP, maps=[Placed(Field(wave, grid), inverse=True)])
     texts = [str(one.message) for one in seen if one.category is FoldWarning]
     assert len(texts) == 2
     assert "as it is solved for map.zarr" in texts[1]
@@ -272,7 +270,7 @@ def test_a_missed_tolerance_is_one_warning_and_noted(monkeypatch: pytest.MonkeyP
     image("in.zarr", "yx", unit=None)
     monkeypatch.setattr(transforms, "certificate_of", lambda plan, space: Certificate(0.5, 1.0))
     with pytest.warns(ToleranceWarning, match=r"off by 0\.5 px") as seen:
-        made = warp_store("in.zarr", "out.zarr", FLAT, options=MAP)
+        made = warp_file("in.zarr", "out.zarr", FLAT, volume=MAP)
     assert len(seen) == 1
     assert made.field is not None
     assert zarr.open("map.zarr").attrs["supple"]["forward"] == {"tolerance": 0.01, "error": 0.5}
@@ -288,7 +286,7 @@ def chunks(name: str) -> dict[str, bytes]:
 
 def test_chunks_that_no_stroke_reaches_are_not_stored() -> None:
     image("in.zarr", "zyx")
-    made = warp_store("in.zarr", "out.zarr", DEEP, options=MAP)
+    made = warp_file("in.zarr", "out.zarr", DEEP, volume=MAP)
     assert made.field is not None
     assert made.field.blocks == 2 * 2 * 4 * 4
     stored = [name for name in chunks("map.zarr") if "/c/" in name]
@@ -322,7 +320,7 @@ def uninterrupted(tmp_path_factory: pytest.TempPathFactory, small: None) -> tupl
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
         image("in.zarr", "zyx")
-        field = warp_store("in.zarr", "out.zarr", DEEP, options=VolumeOptions(save_field="expected.zarr")).field
+        field = warp_file("in.zarr", "out.zarr", DEEP, volume=VolumeOptions(save_field="expected.zarr")).field
     assert field is not None
     return folder, field
 
@@ -353,7 +351,7 @@ def test_a_job_that_is_interrupted_goes_on(
     with monkeypatch.context() as patch:
         failing(patch, name, count)
         with pytest.raises(SuppleError, match="end of the world"):
-            warp_store("in.zarr", f"{base}out.zarr", DEEP, options=options)
+            warp_file("in.zarr", f"{base}out.zarr", DEEP, volume=options)
     if where == "folder":
         assert not os.path.exists("out.zarr")
         assert not os.path.exists("map.zarr")
@@ -361,8 +359,8 @@ def test_a_job_that_is_interrupted_goes_on(
         with pytest.raises(SuppleError, match="unfinished"):
             open_image(f"{base}map.zarr")
     with pytest.raises(SuppleError, match=r"another job|exists already"):
-        warp_store("in.zarr", f"{base}out.zarr", strokes(1.1e-3), options=options)
-    again = warp_store("in.zarr", f"{base}out.zarr", DEEP, options=options)
+        warp_file("in.zarr", f"{base}out.zarr", strokes(1.1e-3), volume=options)
+    again = warp_file("in.zarr", f"{base}out.zarr", DEEP, volume=options)
     assert again.field is not None
     assert again.field.done > 0
     assert (again.field.forward, again.field.stored) == (first.forward, first.stored)
@@ -374,16 +372,16 @@ def test_a_job_that_is_interrupted_goes_on(
         assert sorted(os.listdir()) == ["expected.zarr", "in.zarr", "map.zarr", "out.zarr"]
         assert chunks("map.zarr") == chunks("expected.zarr")
     with pytest.raises(SuppleError, match="exists already"):
-        warp_store("in.zarr", f"{base}out.zarr", DEEP, options=options)
+        warp_file("in.zarr", f"{base}out.zarr", DEEP, volume=options)
 
 
 def test_force_replaces_and_others_are_refused() -> None:
     image("in.zarr", "zyx")
     zarr.create_group("map.zarr")
     with pytest.raises(SuppleError, match=r"map\.zarr exists already: choose another name"):
-        warp_store("in.zarr", "out.zarr", DEEP, options=MAP)
+        warp_file("in.zarr", "out.zarr", DEEP, volume=MAP)
     assert sorted(os.listdir()) == ["in.zarr", "map.zarr"]
-    warp_store("in.zarr", "out.zarr", DEEP, options=MAP, force=True)
+    warp_file("in.zarr", "out.zarr", DEEP, volume=MAP, force=True)
     assert Field.read("map.zarr").values.any()
     Path("plain").mkdir()
     for name, told in (
@@ -394,11 +392,11 @@ def test_force_replaces_and_others_are_refused() -> None:
         ("none/map.zarr", "no folder"),
     ):
         with pytest.raises(SuppleError, match=told):
-            warp_store("in.zarr", "out.zarr", DEEP, options=VolumeOptions(save_field=name), force=True)
+            warp_file("in.zarr", "out.zarr", DEEP, volume=VolumeOptions(save_field=name), force=True)
     shutil.rmtree("map.zarr")
     Path("map.zarr").mkdir()
     with pytest.raises(SuppleError, match="no Zarr store"):
-        warp_store("in.zarr", "out.zarr", DEEP, options=MAP, force=True)
+        warp_file("in.zarr", "out.zarr", DEEP, volume=MAP, force=True)
 
 
 def test_the_map_of_a_file_that_becomes_a_store() -> None:
@@ -406,7 +404,7 @@ def test_the_map_of_a_file_that_becomes_a_store() -> None:
     affine = np.diag([-0.8, 0.5, 3.0, 1.0])
     affine[:3, 3] = [10, -20, 30]
     nibabel.save(nibabel.Nifti1Image(RNG.integers(0, 9, (26, 28, 12)).astype(np.uint8), affine), "in.nii")
-    made = warp_store("in.nii", "out.zarr", strokes(1), options=MAP)
+    made = warp_file("in.nii", "out.zarr", strokes(1), volume=MAP)
     check(made, *fields("map.zarr", 3, (3, 0.5, 0.8)))
     field, own = Field.read("map.zarr"), open_image("out.zarr").grid
     assert np.allclose(field.grid.matrix, own.matrix)
@@ -421,5 +419,5 @@ def test_processes_make_the_same() -> None:
     pytest.importorskip("distributed")
     image("in.zarr", "zyx")
     turn = Affine([[1, 0.05, 0, -1e-3], [-0.05, 1, 0, 1.5e-3], [0, 0, 1, 0.3e-3]])
-    made = warp_store("in.zarr", "out.zarr", DEEP, maps=[Placed(turn)], options=MAP, running=Running(workers=2))
+    made = warp_file("in.zarr", "out.zarr", DEEP, maps=[Placed(turn)], volume=MAP, running=Running(workers=2))
     check(made, *fields("map.zarr", 3, (3, 0.5, 0.8)))

@@ -18,6 +18,7 @@ import pytest
 
 import supple
 import supple.media.video
+from supple.files.jobs import Job
 from supple.files.plots import plot_file
 from supple.media import image
 from tests import clips
@@ -35,7 +36,7 @@ def test_a_sheet_shows_where_strokes_act(here: Path, monkeypatch: pytest.MonkeyP
     everywhere = supple.Recipe(strokes=[supple.Stroke.grab((30, 20), by=(4, 0), radius=6)])
     still = supple.Recipe(strokes=[supple.Stroke.grab((30, 20, 40), by=(0, 0, 0), radius=6)])
     for recipe in (local, everywhere, still):
-        plot_file("in.mkv", "out.png", recipe, "sheet")
+        plot_file(Job("in.mkv", "out.png", recipe), "sheet")
     assert len(seen[0]) == 6
     assert 25 < seen[0][0] < 40 < seen[0][-1] < 55
     assert 40 - seen[0][0] == seen[0][-1] - 40
@@ -104,9 +105,9 @@ def test_plots_show_what_warp_makes(here: Path, monkeypatch: pytest.MonkeyPatch)
     shown: list[Any] = []
     for name in ("draw_slice", "draw_sheet"):
         monkeypatch.setattr(f"supple.files.plots.{name}", lambda *given, **options: shown.append((given, options)))
-    plot_file("in", "out.png", TIMED, "slice", x=20)
-    plot_file("in", "out.png", TIMED, "slice", y=47)
-    plot_file("in", "out.png", TIMED, "sheet")
+    plot_file(Job("in", "out.png", TIMED), "slice", x=20)
+    plot_file(Job("in", "out.png", TIMED), "slice", y=47)
+    plot_file(Job("in", "out.png", TIMED), "sheet")
     (column, _), (row, _), (sheet, _) = shown
     np.testing.assert_array_equal(column[0], frames[:, :, 20])
     np.testing.assert_array_equal(column[1], bent[:, :, 20])

@@ -17,6 +17,7 @@ import supple.media.video
 from supple.errors import ScaleWarning
 from supple.files import warp_file
 from supple.files.clips import deformation_of
+from supple.files.jobs import Job
 from supple.files.options import ClipOptions
 from supple.files.plots import plot_file
 from supple.media import image
@@ -76,9 +77,10 @@ def test_a_saved_recipe_holds_what_a_frame_is_worth(run: Run) -> None:
 
 def test_a_recipe_scales_on_a_larger_clip_and_so_does_what_a_frame_is_worth() -> None:
     recipe = replace(TIMED, size=(64, 48, 12))
-    small = deformation_of(recipe, 12, (48, 64), 3.0, "small.mkv")
+    job = Job("", "", recipe, clip=ClipOptions(time_scale=3.0))
+    small = deformation_of(job, clips.closed("small.mkv", 12, (48, 64)))
     with pytest.warns(ScaleWarning, match="made for 64 x 48 x 12, and is scaled for big.mkv, which is 128 x 96 x 12"):
-        big = deformation_of(recipe, 12, (96, 128), 3.0, "big.mkv")
+        big = deformation_of(job, clips.closed("big.mkv", 12, (96, 128)))
     points = np.random.default_rng(0).uniform((0, 0, 0), (64, 48, 12), (500, 3))
     scale = np.array([2.0, 2.0, 1.0])
     there = (points + 0.5) * scale - 0.5
@@ -89,8 +91,8 @@ def test_a_recipe_scales_on_a_larger_clip_and_so_does_what_a_frame_is_worth() ->
         assert np.abs((moved + 0.5) / scale - 0.5 - wanted).max() < 0.01
         assert np.abs(wanted - points).max() > 2
     with pytest.raises(supple.SuppleError, match=r"and long\.mkv is 64 x 48 x 24: fit='stretch' scales time too"):
-        deformation_of(recipe, 24, (48, 64), 3.0, "long.mkv")
-    slow = deformation_of(recipe, 24, (48, 64), 3.0, "long.mkv", "stretch")
+        deformation_of(job, clips.closed("long.mkv", 24, (48, 64)))
+    slow = deformation_of(replace(job, fit="stretch"), clips.closed("long.mkv", 24, (48, 64)))
     scale = np.array([1.0, 1.0, 2.0])
     found = (slow.forward((points + 0.5) * scale - 0.5) + 0.5) / scale - 0.5
     assert np.abs(found - small.forward(points)).max() < 0.01
@@ -135,7 +137,7 @@ def test_of_a_turned_video_points_are_those_of_frames_as_stored(run: Run) -> Non
     with pytest.warns(ClipWarning, match="180°"):
         warp_file(turned("b.mp4", 180), "c.mp4", TIMED)
     with pytest.warns(ClipWarning, match="90° clockwise"):
-        plot_file(turned("d.mp4", -90), "d.png", TIMED, "sheet")
+        plot_file(Job(turned("d.mp4", -90), "d.png", TIMED), "sheet")
 
 
 def walking(name: str, count: int = 8) -> list[np.ndarray]:

@@ -15,7 +15,7 @@ from supple import Key, Recipe, Stroke
 from supple.errors import FoldWarning, OutsideWarning, SuppleError
 from supple.files import warp_file
 from supple.files.options import ClipOptions
-from supple.files.tracks import follow_tracks
+from supple.files.tracking import follow_tracks
 from supple.media import image
 from tests import clips
 from tests.files.clip_files import GRAB_2D, Run, noisy, pictures, refused, stack

@@ -10,8 +10,9 @@ import pytest
 import SimpleITK as sitk  # noqa: N813
 
 import supple
+from supple.files import warp_file
 from supple.files.options import VolumeOptions
-from supple.files.volumes import open_volume, warp_volume
+from supple.files.volumes import open_volume
 
 HEAD = Path(supple.__file__).parent / "examples" / "data" / "head.nii.gz"
 
@@ -30,7 +31,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     recipe = supple.Recipe(strokes=[supple.Stroke.grab(start, to=end, radius=40)], border=30)
     for suffix in (".nii.gz", ".nrrd", ".mha"):
         options = VolumeOptions(world=True, save_field=made / f"field{suffix}")
-        warp_volume(made / "in.nii.gz", made / "ours.nii.gz", recipe, filter="linear", options=options, force=True)
+        warp_file(made / "in.nii.gz", made / "ours.nii.gz", recipe, filter="linear", volume=options, force=True)
     return made
 
 

@@ -12,8 +12,8 @@ import SimpleITK as sitk  # noqa: N813
 import supple
 from supple.errors import SuppleError
 from supple.fields import Field, Placed
-from supple.files import warp_file
-from supple.files.registrations import write_map
+from supple.files import Job, warp_file
+from supple.files.maps import write_map
 from supple.media import volume as volumes
 from supple.space.affine import Affine
 from supple.strokes import Recipe, Stroke
@@ -59,7 +59,7 @@ def test_strokes_are_on_the_grid_of_the_fixed_volume_and_the_field_is_that_of_al
     )
     assert made.deformation.shape == SHAPE
     assert np.allclose(made.arrivals[1].arrived, (20, 10, 9), atol=1e-6)
-    write_map(moving, tmp_path / "field.nii.gz", recipe, maps=maps, grid=onto(fixed), to="itk")
+    write_map(Job(moving, tmp_path / "field.nii.gz", recipe, maps=maps, grid=onto(fixed)), "itk")
     field = sitk.ReadImage(str(tmp_path / "field.nii.gz"), sitk.sitkVectorFloat64)
     # The chain by itself: back through the strokes, which are of the fixed grid, and forward through both maps.
     grid = volumes.outline_of(fixed).grid
@@ -89,9 +89,9 @@ def test_strokes_are_on_the_grid_of_the_fixed_volume_and_the_field_is_that_of_al
 def test_the_field_is_written_in_the_conventions_of_others(heads: Any, tmp_path: Path, convention: str) -> None:
     moving, fixed, maps = heads
     recipe = Recipe(strokes=STROKES)
-    write_map(moving, tmp_path / "itk.nii.gz", recipe, maps=maps, grid=onto(fixed), to="itk")
+    write_map(Job(moving, tmp_path / "itk.nii.gz", recipe, maps=maps, grid=onto(fixed)), "itk")
     path = tmp_path / "field.nii.gz"
-    write_map(moving, path, recipe, maps=maps, grid=onto(fixed), to=convention)
+    write_map(Job(moving, path, recipe, maps=maps, grid=onto(fixed)), convention)
     source, reference = (volumes.outline_of(each).grid for each in (moving, fixed))
     read = Field.read(path, convention, source=source, reference=reference)
     wanted = Field.read(tmp_path / "itk.nii.gz", "itk")

@@ -22,11 +22,10 @@ from PIL import Image  # noqa: E402
 
 from supple import Deformation, Recipe, Stroke, SuppleError  # noqa: E402
 from supple.errors import VolumeWarning  # noqa: E402
-from supple.files import plans  # noqa: E402
+from supple.files import stores, warp_file  # noqa: E402
 from supple.files.jobs import Job  # noqa: E402
 from supple.files.options import GridOptions, VolumeOptions  # noqa: E402
-from supple.files.plans import plan_file  # noqa: E402
-from supple.files.stores import warp_store  # noqa: E402
+from supple.files.stores import plan_file  # noqa: E402
 from supple.media.stores import inputs, target  # noqa: E402
 from supple.media.stores.image import open_image  # noqa: E402
 from supple.media.stores.inputs import Samples  # noqa: E402
@@ -43,7 +42,7 @@ DEEP = Recipe(strokes=[Stroke.grab((20, 16, 5), to=(23, 17, 6), radius=4)])
 @pytest.fixture(autouse=True)
 def small(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """Chunks and tasks of a few samples, in an empty folder."""
-    monkeypatch.setattr(plans, "TASK", 1 << 12)
+    monkeypatch.setattr(stores, "TASK", 1 << 12)
     monkeypatch.setattr(inputs, "_CHUNK", {2: 16, 3: 16})
     monkeypatch.setattr(inputs, "_COARSEST", 24)
     monkeypatch.chdir(tmp_path)
@@ -152,7 +151,7 @@ def test_files_are_warped_as_arrays_are(name: str) -> None:
     file, values = make()
     values = stored_order(name, values)
     n = 3 if "z" in axes else 2
-    made = warp_store(file, "out.zarr", DEEP if n == 3 else FLAT)
+    made = warp_file(file, "out.zarr", DEEP if n == 3 else FLAT)
     image = open_image("out.zarr")
     assert "".join(axis.name for axis in image.axes) == axes
     assert image.shape == values.shape
@@ -173,7 +172,7 @@ def test_straight_volumes_stay_where_they_are(order: tuple[int, ...], signs: tup
     affine[:3, :3] = np.eye(3)[:, list(order)] * signs * [0.5, 0.75, 2]
     affine[:3, 3] = -11, 5, 40
     nifti("in.nii", noise((40, 32, 11), "uint8"), affine)
-    warp_store("in.nii", "out.zarr", DEEP)
+    warp_file("in.nii", "out.zarr", DEEP)
     corners = np.array(list(np.ndindex(2, 2, 2))) * [39, 31, 10]
     expected = nibabel.affines.apply_affine(affine, corners) * [-1, -1, 1]  # to LPS
     assert np.allclose(open_image("out.zarr").grid.positions(corners), expected, atol=1e-5)
@@ -189,7 +188,7 @@ def test_oblique_volumes_are_bent_in_space_and_written_along_their_axes() -> Non
     start, end = (nibabel.affines.apply_affine(turned, p) for p in ((20, 16, 5), (23, 17, 6)))
     recipe = Recipe(strokes=[Stroke.grab(tuple(start), to=tuple(end), radius=4)])
     with pytest.warns(VolumeWarning, match=r"turned by 17\.2 degrees .* along its own axes, from 0"):
-        warp_store("in.nii", "out.zarr", recipe, options=VolumeOptions(world=True), tolerance=1e-4)
+        warp_file("in.nii", "out.zarr", recipe, volume=VolumeOptions(world=True), tolerance=1e-4)
     image = open_image("out.zarr")
     expected = Deformation.from_recipe(DEEP, Geometry((1.0, 1.0, 1.0)).grid((11, 32, 40)))
     found = np.asarray(image.levels[0].array[...])
@@ -204,7 +203,7 @@ def test_units_times_and_levels() -> None:
     told = {"axes": "TZYX", "spacing": 2.0, "unit": "um", "finterval": 0.25}
     tifffile.imwrite("in.tif", values, imagej=True, metadata=told, resolution=(2, 2))
     recipe = Recipe(strokes=[Stroke.grab((30, 30, 5), to=(33, 30, 5), radius=0.004)])
-    made = warp_store("in.tif", "out.zarr", recipe)
+    made = warp_file("in.tif", "out.zarr", recipe)
     image = open_image("out.zarr")
     assert [axis.unit for axis in image.axes] == ["second", *["micrometer"] * 3]
     assert np.allclose(made.deformation.grid.spacing, (5e-4, 5e-4, 2e-3))
@@ -219,7 +218,7 @@ def test_units_times_and_levels() -> None:
 def test_a_series_of_slices() -> None:
     values = noise((11, 32, 40), "int16")
     slices(Path("ct"), values)
-    made = warp_store("ct", "out.zarr", DEEP)
+    made = warp_file("ct", "out.zarr", DEEP)
     assert plan_file(Job("ct", "", DEEP)).shape == (11, 32, 40)
     expected = made.deformation.warp(values, between="cubic", time_filter=True)
     assert np.array_equal(open_image("out.zarr").levels[0].array[...], expected)
@@ -233,17 +232,17 @@ def test_only_needed_tiles_are_read() -> None:
     with open("in.tif", "r+b") as file:
         file.seek(places[0])
         file.write(b"\xff" * places[1])
-    made = warp_store("in.tif", "part.zarr", FLAT, grid=GridOptions(crop=(10, 8, 60, 36)))
+    made = warp_file("in.tif", "part.zarr", FLAT, grid=GridOptions(crop=(10, 8, 60, 36)))
     part = made.deformation.warp(values, grid=made.grid)
     assert np.array_equal(open_image("part.zarr").levels[0].array[...], part)
     with pytest.raises(SuppleError, match=r"cannot read in\.tif: samples of it cannot be decoded, at \d+:64, \d+:96 "):
-        warp_store("in.tif", "whole.zarr", FLAT)
+        warp_file("in.tif", "whole.zarr", FLAT)
     assert not os.path.exists("whole.zarr")
 
 
 def test_shards_cover_pages() -> None:
     tifffile.imwrite("in.tif", noise((40, 64, 80), "uint16"), photometric="minisblack", compression="zlib")
-    warp_store("in.tif", "out.zarr", DEEP)
+    warp_file("in.tif", "out.zarr", DEEP)
     array = open_image("out.zarr").levels[0].array
     assert array.shards[1:] == (64, 80)
     assert array.chunks == (16, 16, 16)
@@ -263,10 +262,10 @@ def test_another_content_is_another_job(monkeypatch: pytest.MonkeyPatch) -> None
     with monkeypatch.context() as patch:
         patch.setattr(target.Target, "finish", interrupted)
         with pytest.raises(KeyboardInterrupt):
-            warp_store("in.tif", "out.zarr", FLAT)
+            warp_file("in.tif", "out.zarr", FLAT)
     os.utime("in.tif", ns=(0, 0))
     with pytest.raises(SuppleError, match="unfinished output of another job"):
-        warp_store("in.tif", "out.zarr", FLAT)
+        warp_file("in.tif", "out.zarr", FLAT)
 
 
 def interrupted(*_: object) -> None:
@@ -335,7 +334,7 @@ def test_what_a_store_does_not_hold_is_refused(name: str) -> None:
     make, file, recipe, message = WRONG[name]
     make()
     with pytest.raises(SuppleError, match=message) as error:
-        warp_store(file, "out.zarr", recipe)
+        warp_file(file, "out.zarr", recipe)
     assert "\n" not in str(error.value)
     assert file in str(error.value)
     assert not [each for each in os.listdir() if "zarr" in each]

@@ -29,12 +29,11 @@ pytest.importorskip("dask")
 from supple import Affine, Recipe, Stroke, SuppleError  # noqa: E402
 from supple.errors import VolumeWarning  # noqa: E402
 from supple.fields import Placed  # noqa: E402
-from supple.files import plans, tasks  # noqa: E402
+from supple.files import Warped, stores, tasks, warp_file  # noqa: E402
 from supple.files.jobs import Job  # noqa: E402
-from supple.files.options import GridOptions, VolumeOptions  # noqa: E402
-from supple.files.plans import plan_file  # noqa: E402
-from supple.files.stores import WarpedStore, warp_store  # noqa: E402
-from supple.files.tasks import Running, runner_of  # noqa: E402
+from supple.files.options import GridOptions, Running, VolumeOptions  # noqa: E402
+from supple.files.stores import plan_file  # noqa: E402
+from supple.files.tasks import runner_of  # noqa: E402
 from supple.media.stores.image import open_image  # noqa: E402
 from supple.media.stores.levels import reduced  # noqa: E402
 from supple.media.stores.target import Target  # noqa: E402
@@ -51,7 +50,7 @@ DEEP = Recipe(strokes=[Stroke.grab((14, 12, 4), to=(16, 13, 5), radius=2)])
 @pytest.fixture(autouse=True)
 def small(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """Tasks of a few chunks, in an empty folder."""
-    monkeypatch.setattr(plans, "TASK", 1 << 12)
+    monkeypatch.setattr(stores, "TASK", 1 << 12)
     monkeypatch.chdir(tmp_path)
 
 
@@ -68,7 +67,7 @@ def ome(name: str, version: str, axes: str, shape: tuple[int, ...], chunks: tupl
     return image(name, form, version, names=axes, shape=shape, chunks=chunks, **options)[0]
 
 
-def whole(made: WarpedStore, values: Array, **options: Any) -> Array:
+def whole(made: Warped, values: Array, **options: Any) -> Array:
     """Return what `Deformation.warp` makes of each picture or volume in memory."""
     deformation, n = made.deformation, made.deformation.ndim
     sampling = {"between": "cubic", "time_filter": True} if n == 3 else {}
@@ -102,7 +101,7 @@ def test_stores_are_warped_as_arrays_are(version: str, case: str) -> None:
         values = ome("in.zarr", version, axes, shape, chunks, shards=shards)
     else:
         values = plain("in.zarr", RNG.random(shape).astype(np.float32), chunks, shards=shards)
-    made = warp_store("in.zarr", "out.zarr", recipe)
+    made = warp_file("in.zarr", "out.zarr", recipe)
     levels = arrays("out.zarr")
     assert np.array_equal(levels[0], whole(made, values))
     assert not np.array_equal(levels[0], values)
@@ -116,12 +115,12 @@ def test_stores_are_warped_as_arrays_are(version: str, case: str) -> None:
 
 def test_labels_are_kept_in_all_levels() -> None:
     values = ome("in.zarr", "0.5", "zyx", (8, 28, 30), (4, 16, 16))
-    warp_store("in.zarr", "out.zarr", DEEP, options=VolumeOptions(labels=True))
+    warp_file("in.zarr", "out.zarr", DEEP, volume=VolumeOptions(labels=True))
     fine, coarse = arrays("out.zarr")
     assert np.array_equal(coarse, fine[:, ::2, ::2])
     assert set(np.unique(fine)) <= set(np.unique(values))
     with pytest.raises(SuppleError, match='labels needs filter "nearest"'):
-        warp_store("in.zarr", "more.zarr", DEEP, filter="linear", options=VolumeOptions(labels=True))
+        warp_file("in.zarr", "more.zarr", DEEP, filter="linear", volume=VolumeOptions(labels=True))
 
 
 @pytest.mark.parametrize(
@@ -132,7 +131,7 @@ def test_labels_are_kept_in_all_levels() -> None:
 def test_other_grids(grid: GridOptions) -> None:
     flat = grid.ndim == 2
     values = ome("in.zarr", "0.5", "yx" if flat else "zyx", (10, 40, 44)[flat:], (4, 16, 16)[flat:])
-    made = warp_store("in.zarr", "out.zarr", FLAT if flat else DEEP, grid=grid)
+    made = warp_file("in.zarr", "out.zarr", FLAT if flat else DEEP, grid=grid)
     fine = arrays("out.zarr")[0]
     assert np.array_equal(fine, whole(made, values))
     written = open_image("out.zarr")
@@ -141,16 +140,16 @@ def test_other_grids(grid: GridOptions) -> None:
     if not flat:
         assert np.allclose(written.grid.matrix, made.grid.matrix)
         plain_recipe = Recipe(strokes=[Stroke.grab((1, 1, 1), to=(1, 1, 1), radius=1)])
-        warp_store("in.zarr", "same.zarr", plain_recipe, grid=GridOptions(reference="out.zarr"))
+        warp_file("in.zarr", "same.zarr", plain_recipe, grid=GridOptions(reference="out.zarr"))
         assert open_image("same.zarr").grid.sizes == written.grid.sizes
 
 
 def test_affine_maps_and_positions_in_space() -> None:
     values = ome("in.zarr", "0.5", "zyx", (8, 30, 34), (4, 16, 16))
     turn = Affine([[1, 0.05, 0, -1], [-0.05, 1, 0, 1.5], [0, 0, 1, 0.3]])
-    made = warp_store("in.zarr", "out.zarr", DEEP, maps=[Placed(turn, after=1)])
+    made = warp_file("in.zarr", "out.zarr", DEEP, maps=[Placed(turn, after=1)])
     assert np.array_equal(arrays("out.zarr")[0], whole(made, values))
-    world = warp_store("in.zarr", "world.zarr", DEEP, options=VolumeOptions(world=True))
+    world = warp_file("in.zarr", "world.zarr", DEEP, volume=VolumeOptions(world=True))
     assert world.geometry is not None
     assert world.geometry.convention == "LPS"
 
@@ -169,7 +168,7 @@ def test_blocks_beyond_the_strokes_are_copied_as_they_are_stored() -> None:
     broken = Path("in.zarr/c/3/5")
     broken.write_bytes(b"not decoded")
     Path("in.zarr/c/2/5").unlink()
-    made = warp_store("in.zarr", "out.zarr", FLAT)
+    made = warp_file("in.zarr", "out.zarr", FLAT)
     assert 0 < made.copied < made.blocks
     before, after = chunk_files("in.zarr"), chunk_files("out.zarr")
     assert set(before) == set(after)
@@ -181,18 +180,18 @@ def test_blocks_beyond_the_strokes_are_copied_as_they_are_stored() -> None:
 def test_in_memory(memory: str) -> None:
     values = RNG.random((40, 44)).astype(np.float32)
     plain(f"{memory}/in.zarr", values, (16, 16))
-    made = warp_store(f"{memory}/in.zarr", f"{memory}/out.zarr", FLAT)
+    made = warp_file(f"{memory}/in.zarr", f"{memory}/out.zarr", FLAT)
     assert np.array_equal(arrays(f"{memory}/out.zarr")[0], whole(made, values))
     with pytest.raises(SuppleError, match="memory of this process"):
-        warp_store(f"{memory}/in.zarr", "out.zarr", FLAT, running=Running(workers=2))
+        warp_file(f"{memory}/in.zarr", "out.zarr", FLAT, running=Running(workers=2))
     assert not os.path.exists("out.zarr")
 
 
 KILLED = """
 import os, signal, sys
 from supple import Recipe, Stroke
-from supple.files import plans, stores
-plans.TASK = 1 << 12
+from supple.files import stores, warp_file
+stores.TASK = 1 << 12
 real, calls = stores._write_block, []
 def killing(work, item):
     calls.append(item)
@@ -200,7 +199,7 @@ def killing(work, item):
         os.kill(os.getpid(), signal.SIGKILL)
     return real(work, item)
 stores._write_block = killing
-stores.warp_store("in.zarr", "out.zarr", Recipe.from_json(sys.argv[1]))
+warp_file("in.zarr", "out.zarr", Recipe.from_json(sys.argv[1]))
 """
 
 
@@ -217,8 +216,8 @@ def test_a_killed_job_goes_on(version: str) -> None:
     assert child.returncode == -signal.SIGKILL, child.stderr
     assert sorted(os.listdir()) == ["in.zarr", "out.zarr.partial"]
     with pytest.raises(SuppleError, match="unfinished output of another job"):
-        warp_store("in.zarr", "out.zarr", DEEP, filter="linear")
-    made = warp_store("in.zarr", "out.zarr", DEEP)
+        warp_file("in.zarr", "out.zarr", DEEP, filter="linear")
+    made = warp_file("in.zarr", "out.zarr", DEEP)
     assert 0 < made.done < made.blocks
     assert np.array_equal(arrays("out.zarr")[0], whole(made, values))
     assert sorted(os.listdir()) == ["in.zarr", "out.zarr"]
@@ -230,10 +229,10 @@ def test_a_damaged_chunk_is_one_sentence_and_the_rest_is_kept() -> None:
     whole_chunk = chunk.read_bytes()
     chunk.write_bytes(whole_chunk[:-5])
     with pytest.raises(SuppleError, match=r"^cannot read in.zarr: samples of it cannot be decoded, at 0:"):
-        warp_store("in.zarr", "out.zarr", FLAT)
+        warp_file("in.zarr", "out.zarr", FLAT)
     assert not os.path.exists("out.zarr")
     chunk.write_bytes(whole_chunk)
-    made = warp_store("in.zarr", "out.zarr", FLAT)
+    made = warp_file("in.zarr", "out.zarr", FLAT)
     assert np.array_equal(arrays("out.zarr")[0], whole(made, values))
 
 
@@ -244,14 +243,14 @@ def test_a_turned_reference_is_refused() -> None:
     turned[:2, :2] = [[0.8, -0.6], [0.6, 0.8]]
     nibabel.save(nibabel.Nifti1Image(np.zeros((20, 20, 8), np.float32), turned), "turned.nii")
     with pytest.raises(SuppleError, match="turned against those of the input"):
-        warp_store("in.zarr", "out.zarr", DEEP, grid=GridOptions(reference="turned.nii"))
+        warp_file("in.zarr", "out.zarr", DEEP, grid=GridOptions(reference="turned.nii"))
 
 
 def test_processes_make_the_same() -> None:
     pytest.importorskip("distributed")
     values = ome("in.zarr", "0.5", "zyx", (8, 28, 30), (4, 16, 16))
     turn = Affine([[1, 0.05, 0, -1], [-0.05, 1, 0, 1.5], [0, 0, 1, 0.3]])
-    made = warp_store("in.zarr", "out.zarr", DEEP, maps=[Placed(turn)], running=Running(workers=2))
+    made = warp_file("in.zarr", "out.zarr", DEEP, maps=[Placed(turn)], running=Running(workers=2))
     fine, coarse = arrays("out.zarr")
     assert np.array_equal(fine, whole(made, values))
     assert np.array_equal(coarse, reduced(fine, [1, 2, 2], "mean"))
@@ -284,7 +283,7 @@ def test_a_worker_that_does_not_see_the_folders(tmp_path: Path) -> None:
             shutil.move("in.zarr", "away.zarr")
 
     with pytest.raises(SuppleError, match=r"in\.zarr is gone, or a worker does not see it"):
-        warp_store("in.zarr", "out.zarr", FLAT, tell=moved)
+        warp_file("in.zarr", "out.zarr", FLAT, tell=moved)
 
 
 def test_a_plan_says_what_the_job_does() -> None:
@@ -293,7 +292,7 @@ def test_a_plan_says_what_the_job_does() -> None:
     shutil.rmtree("in.zarr/c")  # no sample is read
     assert plan_file(Job("in.zarr", "", FLAT)) == told
     plain("in.zarr", RNG.random((64, 96)).astype(np.float32), (16, 16), overwrite=True)
-    made = warp_store("in.zarr", "out.zarr", FLAT)
+    made = warp_file("in.zarr", "out.zarr", FLAT)
     assert (told.blocks, told.copied) == (made.blocks, made.copied)
     assert told.size == 64 * 96 * 4
     assert told.read > 0
@@ -322,7 +321,7 @@ def test_what_happens_to_a_cluster_is_one_sentence(error: BaseException, told: s
 def test_lengths_in_another_unit_are_told() -> None:
     ome("in.zarr", "0.5", "zyx", (9, 28, 30), (4, 16, 16), unit="micrometer")
     drag = Stroke.grab((14, 12, 4), to=(16, 13, 5), radius=0.002)
-    warp_store("in.zarr", "fine.zarr", Recipe(strokes=[drag]))
+    warp_file("in.zarr", "fine.zarr", Recipe(strokes=[drag]))
     for radius, words in (
         (2.0, r"2 mm is 66\.7 times in\.zarr, of 0\.03 x 0\.028 x 0\.009 mm"),
         (5e-5, r"0\.05 times"),
@@ -342,8 +341,8 @@ def test_labels_are_not_mixed_in_silence() -> None:
     areas = np.repeat(np.repeat(values[:, ::10, ::11], 10, 1), 11, 2)
     zarr.open_group("in.zarr")["0"][...] = areas
     with pytest.warns(VolumeWarning, match="in.zarr looks like a label map"):
-        warp_store("in.zarr", "mixed.zarr", DEEP)
-    made = warp_store("in.zarr", "kept.zarr", DEEP, options=VolumeOptions(labels=True))
+        warp_file("in.zarr", "mixed.zarr", DEEP)
+    made = warp_file("in.zarr", "kept.zarr", DEEP, volume=VolumeOptions(labels=True))
     assert np.isin(arrays(made.target)[0], areas).all()
 
 
@@ -358,13 +357,13 @@ def test_label_images_are_bent_with_their_image(version: str, monkeypatch: pytes
     with monkeypatch.context() as patch:
         patch.setattr(Target, "finish", stopped)
         with pytest.raises(KeyboardInterrupt), pytest.warns(VolumeWarning, match="coarse"):
-            warp_store("in.zarr", "out.zarr", DEEP)
+            warp_file("in.zarr", "out.zarr", DEEP)
     label = Path("in.zarr/labels/nuclei/.zgroup" if version == "0.4" else "in.zarr/labels/nuclei/zarr.json")
     os.utime(label, ns=(0, 0))  # as if it had been replaced meanwhile: it is begun anew
     with pytest.warns(
         VolumeWarning, match=r"label image coarse of in.zarr is not carried over \(it is on another grid"
     ):
-        made = warp_store("in.zarr", "out.zarr", DEEP)
+        made = warp_file("in.zarr", "out.zarr", DEEP)
     assert made.labels == ("nuclei",)
     found = arrays("out.zarr/labels/nuclei")
     assert np.array_equal(found[0], made.deformation.warp(values, filter="nearest", between="nearest"))
@@ -373,7 +372,7 @@ def test_label_images_are_bent_with_their_image(version: str, monkeypatch: pytes
     label = zarr.open_group("in.zarr/labels/nuclei")
     label.attrs["image-label" if version == "0.4" else "ome"] = {**label.attrs.get("ome", {}), "image-label": {}}
     with pytest.warns(VolumeWarning, match="nuclei is a label map, and its labels are mixed"):
-        warp_store("in.zarr/labels/nuclei", "label.zarr", DEEP)
+        warp_file("in.zarr/labels/nuclei", "label.zarr", DEEP)
 
 
 def test_label_images_that_cannot_be_bent_are_told_before_any_work() -> None:
@@ -384,7 +383,7 @@ def test_label_images_that_cannot_be_bent_are_told_before_any_work() -> None:
     ome("in.zarr/labels/flat", "0.5", "yx", (40, 44), (16, 16))
     ome("in.zarr/labels/real", "0.5", "zyx", (9, 28, 30), (4, 16, 16), dtype="float32")
     with pytest.warns(VolumeWarning) as told:
-        made = warp_store("in.zarr", "out.zarr", DEEP)
+        made = warp_file("in.zarr", "out.zarr", DEEP)
     assert made.labels == ()
     said = [str(each.message) for each in told]
     for name, why in zip(names, ("gone", "2 axes of space", "it holds float32", "no plain name"), strict=True):
@@ -399,7 +398,7 @@ def test_labels_outside_are_background() -> None:
     shift = Placed(Affine(np.c_[np.eye(3), (60, 0, 0)]))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        made = warp_store("in.zarr", "out.zarr", Recipe(strokes=[]), maps=(shift,), outside="constant", fill=300)
+        made = warp_file("in.zarr", "out.zarr", Recipe(strokes=[]), maps=(shift,), outside="constant", fill=300)
     assert set(np.unique(arrays(made.target)[0])) == {300}
     assert set(np.unique(arrays("out.zarr/labels/nuclei")[0])) == {0}
 
@@ -409,12 +408,12 @@ def test_a_fill_of_scaled_samples_is_a_true_value() -> None:
         "in.zarr", RNG.integers(0, 9, (40, 44), np.int16), (16, 16), attributes={"scale_factor": 0.5, "add_offset": -9}
     )
     away = Placed(Affine([[1, 0, 60], [0, 1, 0]]))
-    warp_store("in.zarr", "out.zarr", Recipe(strokes=[]), maps=(away,), outside="constant", fill=-1)
+    warp_file("in.zarr", "out.zarr", Recipe(strokes=[]), maps=(away,), outside="constant", fill=-1)
     out = zarr.open_array("out.zarr", mode="r")
     assert set(np.unique(out[...])) == {16}
     assert dict(out.attrs)["scale_factor"] == 0.5
     with pytest.raises(SuppleError, match=r"fill must be from -16393 to 16374\.5, which in\.zarr can hold"):
-        warp_store("in.zarr", "no.zarr", Recipe(strokes=[]), maps=(away,), outside="constant", fill=20000)
+        warp_file("in.zarr", "no.zarr", Recipe(strokes=[]), maps=(away,), outside="constant", fill=20000)
 
 
 def stopped(*_: object, **__: object) -> None:
@@ -424,7 +423,7 @@ def stopped(*_: object, **__: object) -> None:
 def test_axes_of_space_in_another_order_are_refused() -> None:
     ome("in.zarr", "0.5", "xy", (40, 44), (16, 16))
     with pytest.raises(SuppleError, match=r"in\.zarr: its axes of space are x, y, in this order: store them .* y, x"):
-        warp_store("in.zarr", "out.zarr", FLAT)
+        warp_file("in.zarr", "out.zarr", FLAT)
 
 
 def test_no_task_goes_on_after_an_error() -> None:
@@ -450,7 +449,7 @@ def test_a_field_whose_place_another_job_has_leaves_no_output() -> None:
     os.mkdir("map.zarr.partial")
     Path("map.zarr.partial/supple.json").write_text('{"program": "supple", "state": "unfinished", "job": "b"}')
     with pytest.raises(SuppleError, match=r"map\.zarr.*is the unfinished output of another job"):
-        warp_store("in.zarr", "out.zarr", FLAT, options=options)
+        warp_file("in.zarr", "out.zarr", FLAT, volume=options)
     assert sorted(os.listdir()) == ["in.zarr", "map.zarr.partial"]
-    warp_store("in.zarr", "out.zarr", FLAT, options=options, force=True)
+    warp_file("in.zarr", "out.zarr", FLAT, volume=options, force=True)
     assert sorted(os.listdir()) == ["in.zarr", "map.zarr", "out.zarr"]

@@ -19,11 +19,10 @@ from supple.cli import command
 from supple.engine.sampling import Sampling
 from supple.errors import SuppleError, VolumeWarning
 from supple.fields import Placed
-from supple.files import volumes
+from supple.files import Job, volumes, warp_file
 from supple.files.freezing import read_freeze
 from supple.files.options import VolumeOptions
-from supple.files.stores import warp_store
-from supple.files.volumes import deformation_of, warp_volume
+from supple.files.volumes import deformation_of
 from supple.media import volume as media
 from supple.space.affine import Affine
 from supple.space.geometry import Geometry
@@ -69,7 +68,7 @@ def truth(samples: npt.NDArray[Any], recipe: supple.Recipe = RECIPE, order: int 
 @pytest.mark.parametrize("dtype", [np.uint8, np.int16, np.float32])
 def test_a_volume_is_deformed_in_millimetres(here: Path, suffix: str, dtype: Any) -> None:
     samples = stored(f"in{suffix}", made(dtype=np.float32).clip(0, 255).astype(dtype))
-    done = warp_volume(f"in{suffix}", f"out{suffix}", RECIPE, filter="linear")
+    done = warp_file(f"in{suffix}", f"out{suffix}", RECIPE, filter="linear")
     out = media.read(f"out{suffix}")
     assert out.samples.dtype == dtype
     off = np.abs(out.samples - truth(samples))
@@ -107,8 +106,8 @@ def test_places_in_space(here: Path) -> None:
         ("in.nrrd", [OBLIQUE.to_lps(p) for p in (start, end)]),
     ):
         given = supple.Recipe(strokes=[supple.Stroke.grab(places[0], to=places[1], radius=9)], border=8.0)
-        warp_volume(name, "world" + name[2:], given, options=VolumeOptions(world=True))
-        warp_volume(name, "index" + name[2:], RECIPE)
+        warp_file(name, "world" + name[2:], given, volume=VolumeOptions(world=True))
+        warp_file(name, "index" + name[2:], RECIPE)
         a, b = (media.read(kind + name[2:]).samples for kind in ("world", "index"))
         assert np.abs(a.astype(int) - b).max() <= 1
         assert np.abs(a.astype(int) - samples).max() > 50
@@ -123,7 +122,7 @@ def test_a_recipe_that_says_its_space_needs_no_world(here: Path, name: str, spac
     recipe = supple.Recipe(strokes=[supple.Stroke.grab(start, to=end, radius=9)], border=8.0, space=space)
     Path("r.json").write_text(recipe.to_json())
     assert command(["warp", name, "out" + name[2:], "--recipe", "r.json"]) == 0
-    warp_volume(name, "index" + name[2:], RECIPE)
+    warp_file(name, "index" + name[2:], RECIPE)
     a, b = (media.read(kind + name[2:]).samples for kind in ("out", "index"))
     assert np.abs(a.astype(int) - b).max() <= 1
     assert np.abs(a.astype(int) - samples).max() > 50
@@ -164,19 +163,19 @@ def test_a_border_that_is_elsewhere_is_told(here: Path) -> None:
     at = volume.geometry.to_world((10.0, 10.0, 8.0), "RAS").tolist()
     recipe = replace(recipe, strokes=(supple.Stroke.grab(at, by=(0.1, 0, 0), radius=3),))
     with pytest.warns(VolumeWarning, match="its border, a tenth of each axis, is elsewhere"):
-        deformation_of(recipe, volume)
+        deformation_of(Job("", "", recipe), volume)
     for same in (replace(recipe, size=volume.sizes), replace(recipe, size=None), replace(recipe, border=2.0)):
         with warnings.catch_warnings():
             warnings.simplefilter("error", VolumeWarning)
-            deformation_of(same, volume)
+            deformation_of(Job("", "", same), volume)
 
 
 def test_voxels_of_another_size_are_not_scaled(here: Path) -> None:
     stored("in.nii", made())
     recipe = replace(RECIPE, size=(48, 52, 40))
     with pytest.raises(supple.SuppleError, match=r"in\.nii is 24 x 26 x 20: voxels are not scaled"):
-        warp_volume("in.nii", "out.nii", recipe)
-    assert warp_volume("in.nii", "out.nii", recipe, fit="pixels").deformation.strokes == RECIPE.strokes
+        warp_file("in.nii", "out.nii", recipe)
+    assert warp_file("in.nii", "out.nii", recipe, fit="pixels").deformation.strokes == RECIPE.strokes
 
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.int16, np.int32, np.uint16, np.int64])
@@ -184,7 +183,7 @@ def test_labels_keep_their_values(here: Path, dtype: Any) -> None:
     samples = (made(dtype=np.float32) > 300).astype(dtype) * np.array(np.iinfo(dtype).max - 3, dtype)
     samples[5:9, 4:12, 3:8] = 7
     stored("in.nii.gz", samples)
-    warp_volume("in.nii.gz", "out.nii.gz", RECIPE, options=VolumeOptions(labels=True))
+    warp_file("in.nii.gz", "out.nii.gz", RECIPE, volume=VolumeOptions(labels=True))
     out = media.read("out.nii.gz").samples
     assert out.dtype == dtype
     assert set(np.unique(out)) == set(np.unique(samples))
@@ -192,13 +191,13 @@ def test_labels_keep_their_values(here: Path, dtype: Any) -> None:
     assert (out == truth(samples.astype(np.float64), order=0)).mean() > 0.998
     for name in ("linear", "cubic"):
         with pytest.raises(supple.SuppleError, match="labels"):
-            warp_volume("in.nii.gz", "x.nii.gz", RECIPE, filter=name, options=VolumeOptions(labels=True))
+            warp_file("in.nii.gz", "x.nii.gz", RECIPE, filter=name, volume=VolumeOptions(labels=True))
 
 
 def test_labels_may_be_stored_as_floats(here: Path, capfd: pytest.CaptureFixture[str]) -> None:
     samples = np.round(made(dtype=np.float32) / 200).astype(np.float32) * 7
     stored("in.nii.gz", samples)
-    warp_volume("in.nii.gz", "out.nii.gz", RECIPE, options=VolumeOptions(labels=True))
+    warp_file("in.nii.gz", "out.nii.gz", RECIPE, volume=VolumeOptions(labels=True))
     out = media.read("out.nii.gz").samples
     assert out.dtype == np.float32
     assert set(np.unique(out)) == set(np.unique(samples))
@@ -227,12 +226,12 @@ def test_what_looks_like_labels_is_said(here: Path, dtype: Any) -> None:
         media.write("in.nii", samples, media.Volume(samples, OBLIQUE), force=True)
         with warnings.catch_warnings(record=True) as told:
             warnings.simplefilter("always")
-            warp_volume("in.nii", "out.nii", recipe, force=True, filter="linear")
+            warp_file("in.nii", "out.nii", recipe, force=True, filter="linear")
         count = len(np.unique(samples))
         wanted = f"in.nii looks like a label map, of {count} values, and its labels are mixed where they meet: "
         wanted += "labels=True keeps them"
         assert [str(one.message) for one in told] == [wanted] * said
-        warp_volume("in.nii", "out.nii", recipe, force=True, options=VolumeOptions(labels=True))
+        warp_file("in.nii", "out.nii", recipe, force=True, volume=VolumeOptions(labels=True))
 
 
 def blocks_of(dtype: Any) -> npt.NDArray[Any]:
@@ -244,7 +243,7 @@ def blocks_of(dtype: Any) -> npt.NDArray[Any]:
 def test_values_stay_within_their_range(here: Path, dtype: Any) -> None:
     stored("in.nii", blocks_of(dtype))
     options: dict[str, Any] = {"filter": "cubic", "force": True}
-    warp_volume("in.nii", "out.nii", RECIPE, clamp=False, **options)
+    warp_file("in.nii", "out.nii", RECIPE, clamp=False, **options)
     free = np.array(media.read("out.nii").samples)
     assert free.min() < -1100
     assert free.max() > 1600
@@ -323,8 +322,7 @@ def test_the_background_of_components(here: Path, target: str) -> None:
     stored("in.nrrd", vectors, Geometry())
     away = Placed(Affine(np.c_[np.eye(3), (4, 0, 0)]))
     on = supple.GridOptions(reference="in.nrrd")
-    warp: Any = warp_store if target.endswith(".zarr") else warp_volume
-    assert warp("in.nrrd", target, supple.Recipe(strokes=[]), maps=[away], grid=on).background == 0
+    assert warp_file("in.nrrd", target, supple.Recipe(strokes=[]), maps=[away], grid=on).background == 0
 
 
 def test_labels_of_scaled_masks_are_true_values(here: Path) -> None:
@@ -382,11 +380,11 @@ def test_pictures_of_floats_stay_within_their_range(here: Path, capfd: pytest.Ca
 def test_vectors_and_series(here: Path) -> None:
     vectors = np.stack([made(seed=k, dtype=np.float32) for k in range(3)], axis=-1)
     stored("v.nrrd", vectors)
-    warp_volume("v.nrrd", "v2.nrrd", RECIPE, filter="linear")
+    warp_file("v.nrrd", "v2.nrrd", RECIPE, filter="linear")
     np.testing.assert_allclose(media.read("v2.nrrd").samples, truth(vectors), atol=OFF)
     times = np.stack([made(seed=k) for k in range(4)])
     stored("t.nii.gz", times, series=True)
-    done = warp_volume("t.nii.gz", "t2.nii.gz", RECIPE, filter="linear")
+    done = warp_file("t.nii.gz", "t2.nii.gz", RECIPE, filter="linear")
     out = media.read("t2.nii.gz")
     assert out.series
     assert done.frames == 4
@@ -399,10 +397,10 @@ def test_what_is_not_a_number_stays_where_it_is(here: Path) -> None:
     samples[3, 4:6, 5] = np.nan
     stored("in.nii", samples)
     with pytest.warns(supple.errors.GapWarning, match="2 voxels of in.nii are NaN or infinite"):
-        warp_volume("in.nii", "out.nii", RECIPE, filter="linear")
+        warp_file("in.nii", "out.nii", RECIPE, filter="linear")
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        warp_volume("in.nii", "near.nii", RECIPE, filter="nearest")
+        warp_file("in.nii", "near.nii", RECIPE, filter="nearest")
     assert 1 <= np.isnan(media.read("near.nii").samples).sum() < 10
     out = media.read("out.nii").samples
     assert 1 <= np.isnan(out).sum() < 60
@@ -417,15 +415,15 @@ def test_the_sidecar_of_bids_comes_along(here: Path) -> None:
     sidecar = '{"RepetitionTime": 2.3, "Manufacturer": "Siemens"}'
     (here / "head.json").write_text(sidecar)
     for _ in range(2):
-        warp_volume("head.nii.gz", "bent.nii.gz", RECIPE, force=True)
+        warp_file("head.nii.gz", "bent.nii.gz", RECIPE, force=True)
         assert (here / "bent.json").read_text() == sidecar
     (here / "bent.json").write_text(mine := '{"mine": 1}')
     with pytest.warns(VolumeWarning, match=r"bent\.json is there already, and stays as it is"):
-        warp_volume("head.nii.gz", "bent.nii.gz", RECIPE, force=True)
+        warp_file("head.nii.gz", "bent.nii.gz", RECIPE, force=True)
     assert (here / "bent.json").read_text() == mine
     for text in (RECIPE.to_json(), "[1]", "{"):  # which are no sidecars
         (here / "head.json").write_text(text)
-        warp_volume("head.nii.gz", "other.nii.gz", RECIPE, force=True)
+        warp_file("head.nii.gz", "other.nii.gz", RECIPE, force=True)
         assert not (here / "other.json").exists()
 
 
@@ -433,24 +431,24 @@ def test_the_sidecar_of_bids_comes_along(here: Path) -> None:
 def test_nothing_to_do_is_a_copy(here: Path) -> None:
     stored("in.nii.gz", made())
     still = supple.Recipe(strokes=[supple.Stroke.grab((5, 5, 5), by=(0, 0, 0), radius=5)])
-    warp_volume("in.nii.gz", "out.nii.gz", still)
+    warp_file("in.nii.gz", "out.nii.gz", still)
     assert Path("in.nii.gz").read_bytes() == Path("out.nii.gz").read_bytes()
-    warp_volume("in.nii.gz", "out.nrrd", still)
+    warp_file("in.nii.gz", "out.nrrd", still)
     np.testing.assert_array_equal(media.read("out.nrrd").samples, media.read("in.nii.gz").samples)
 
 
 def test_results_too_large_for_memory_go_through_a_file(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     samples = stored("in.nii", made())
-    warp_volume("in.nii", "a.nii", RECIPE, filter="cubic")
+    warp_file("in.nii", "a.nii", RECIPE, filter="cubic")
     monkeypatch.setattr(volumes, "machine_memory", lambda: samples.nbytes * 2.0)
-    warp_volume("in.nii", "b.nii", RECIPE, filter="cubic")
+    warp_file("in.nii", "b.nii", RECIPE, filter="cubic")
     assert Path("a.nii").read_bytes() == Path("b.nii").read_bytes()
     monkeypatch.setattr("supple.engine.memory.reserve", _full)
     for name in ("c.nii", "{}{size}.nii"):
         with pytest.raises(
             supple.SuppleError, match=rf"no room for it beside {re.escape(name)} \(No space left on device\)"
         ):
-            warp_volume("in.nii", name, RECIPE, filter="cubic")
+            warp_file("in.nii", name, RECIPE, filter="cubic")
     assert sorted(p.name for p in here.iterdir()) == ["a.nii", "b.nii", "in.nii"]
 
 
@@ -487,11 +485,11 @@ def test_a_field_is_left_only_with_its_volume(here: Path, monkeypatch: pytest.Mo
     stored("in.nii", made())
     monkeypatch.setattr(volumes, "write", _full)
     with pytest.raises(supple.SuppleError, match="No space left"):
-        warp_volume("in.nii", "out.nii", RECIPE, options=VolumeOptions(save_field="f.nii"))
+        warp_file("in.nii", "out.nii", RECIPE, volume=VolumeOptions(save_field="f.nii"))
     assert [p.name for p in here.iterdir()] == ["in.nii"]
     monkeypatch.undo()
     monkeypatch.chdir(here)
-    warp_volume("in.nii", "out.nii", RECIPE, options=VolumeOptions(save_field="f.nii"))
+    warp_file("in.nii", "out.nii", RECIPE, volume=VolumeOptions(save_field="f.nii"))
     assert sorted(p.name for p in here.iterdir()) == ["f.nii", "in.nii", "out.nii"]
 
 
@@ -505,7 +503,7 @@ def test_an_interrupt_leaves_nothing(here: Path) -> None:
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        warp_volume("in.nii", "out.nii", RECIPE, tell=stop)
+        warp_file("in.nii", "out.nii", RECIPE, tell=stop)
     assert seen[0][0] == "read"
     assert seen[-1][2] == SHAPE[0]
     assert [p.name for p in here.iterdir()] == ["in.nii"]
@@ -518,7 +516,7 @@ def test_slabs_that_flow_into_a_file_are_those_of_the_whole(
     voxels = np.random.default_rng(4).integers(-900, 900, (37, 12, 11)).astype(np.int16)
     nibabel.save(nibabel.Nifti1Image(voxels.T, np.diag([1.0, 1.0, 2.0, 1.0])), here / "in.nii")
     stroke = supple.Stroke.grab((5, 6, 18), by=(1, 1.5, 2), radius=8)
-    warp_volume(here / "in.nii", here / "out.nii.gz", supple.Recipe(strokes=[stroke]), filter=name)
+    warp_file(here / "in.nii", here / "out.nii.gz", supple.Recipe(strokes=[stroke]), filter=name)
     wanted = supple.Deformation(voxels.shape, spacing=(1, 1, 2)).add(stroke).warp(voxels, filter=name)
     np.testing.assert_array_equal(np.asarray(nibabel.load(here / "out.nii.gz").dataobj).T, wanted)
     counted, plain = iter(range(2)), volumes.warp_array
@@ -530,5 +528,5 @@ def test_slabs_that_flow_into_a_file_are_those_of_the_whole(
 
     monkeypatch.setattr(volumes, "warp_array", failing)
     with pytest.raises(SuppleError, match="later slab"):
-        warp_volume(here / "in.nii", here / "bad.nii", supple.Recipe(strokes=[stroke]), filter=name)
+        warp_file(here / "in.nii", here / "bad.nii", supple.Recipe(strokes=[stroke]), filter=name)
     assert sorted(path.name for path in here.iterdir()) == ["in.nii", "out.nii.gz"]

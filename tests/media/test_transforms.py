@@ -15,9 +15,9 @@ import pytest
 import SimpleITK as sitk  # noqa: N813
 
 from supple import Deformation, Recipe, Stroke, SuppleError
+from supple.files import warp_file
 from supple.files.options import VolumeOptions
 from supple.files.transforms import displacement_of, write_transform
-from supple.files.volumes import warp_volume
 from supple.media.transforms import SUFFIXES_OUT, check_target, write_field
 from supple.space.geometry import Geometry
 from tests.media.transforms.mapping import rotation
@@ -92,8 +92,8 @@ def test_itk_applies_the_field_of_a_nifti_to_the_volume_as_it_reads_it(tmp_path:
     options = VolumeOptions(save_field=tmp_path / "field.nii")
     with warnings.catch_warnings(record=True) as told:
         warnings.simplefilter("always")
-        warp_volume(
-            tmp_path / "in.nii", tmp_path / "out.nii", Recipe(strokes=grab), filter="linear", options=options,
+        warp_file(
+            tmp_path / "in.nii", tmp_path / "out.nii", Recipe(strokes=grab), filter="linear", volume=options,
             tolerance=1e-4,
         )  # fmt: skip
     assert [one.category.__name__ for one in told] == ["VolumeWarning"] * (sform > 0 < qform)

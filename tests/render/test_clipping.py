@@ -12,6 +12,7 @@ import pytest
 from scipy import ndimage
 
 import supple
+from supple.files.jobs import Job
 from supple.files.renders import RenderOptions, render_file
 from supple.render.appearance import cropped, lamp
 from supple.render.box import box_of
@@ -227,7 +228,7 @@ def test_a_cropped_volume_is_seen_through_what_the_whole_is(here: Path) -> None:
     stored("in.nii", volume)
 
     def made(name: str, crop: Any) -> Scene:
-        return render_file(name, "out.png", options=RenderOptions("mr-head", size=(40, 40), crop=crop), force=True)
+        return render_file(Job(name, "out.png", force=True), options=RenderOptions("mr-head", size=(40, 40), crop=crop))
 
     with pytest.raises(supple.SuppleError, match="density and crop leave all of them out"):
         made("in.nii", ((4, 15),) * 3)

@@ -16,6 +16,7 @@ import pytest
 import supple
 from supple import cli
 from supple.cli import command
+from supple.files.jobs import Job
 from supple.files.options import VolumeOptions
 from supple.files.renders import RenderOptions, default_transfer, render_file
 from supple.media import image
@@ -106,7 +107,9 @@ def test_colours_are_as_opaque_as_their_luminance(here: Path, suffix: str) -> No
     options = RenderOptions(size=(40, 40), transfer="grey", mode="exact", camera=Camera(20, 10), shaded=False)
     seen = {}
     for name in ("grey.nii", f"green{suffix}", f"clear{suffix}"):
-        render_file(name, "out.png", supple.Recipe(strokes=RECIPE.strokes, border=6.0), options=options, force=True)
+        render_file(
+            Job(name, "out.png", supple.Recipe(strokes=RECIPE.strokes, border=6.0), force=True), options=options
+        )
         seen[name[:5]] = image.read("out.png").pixels.astype(int)
     np.testing.assert_array_equal(seen["green"][..., 3], seen["grey."][..., 3])
     assert seen["green"][..., 1].max() > 120 > 10 > seen["green"][..., ::2].max()
@@ -189,7 +192,7 @@ def test_the_examples_of_the_help_bend_the_head_that_comes_along(here: Path, cap
 def test_a_turn_as_a_video(here: Path) -> None:
     stored("in.nii", head())
     even = RenderOptions(turntable=8, size=(42, 52), rate=12.5)
-    render_file("in.nii", "turn.mp4", options=even)
+    render_file(Job("in.nii", "turn.mp4"), options=even)
     with av.open("turn.mp4") as clip:
         frames = [f.to_ndarray(format="rgb24") for f in clip.decode(video=0)]
         assert clip.streams.video[0].average_rate == 12.5
@@ -203,8 +206,8 @@ def test_a_turn_as_a_video(here: Path) -> None:
 def test_a_turn_as_a_video_of_any_size(here: Path, suffix: str) -> None:
     stored("in.nii", head())
     known = RenderOptions(turntable=6, size=(41, 51), rate=12, background=(0.2, 0.4, 0.6))
-    render_file("in.nii", f"turn{suffix}", options=known)
-    render_file("in.nii", "turn/%d.png", options=replace(known, rate=None))
+    render_file(Job("in.nii", f"turn{suffix}"), options=known)
+    render_file(Job("in.nii", "turn/%d.png"), options=replace(known, rate=None))
     with av.open(f"turn{suffix}") as clip:
         decoded = list(clip.decode(video=0))
     times = np.array([float(f.pts * f.time_base) for f in decoded])
@@ -221,14 +224,14 @@ def test_a_turn_as_a_video_of_any_size(here: Path, suffix: str) -> None:
 def test_a_turn_as_pictures(here: Path) -> None:
     stored("in.nii", head())
     known = RenderOptions(turntable=4, size=(40, 40), camera=Camera(10, 20))
-    render_file("in.nii", "turn/%02d.png", options=known)
+    render_file(Job("in.nii", "turn/%02d.png"), options=known)
     assert sorted(p.name for p in Path("turn").iterdir()) == [f"{k:02d}.png" for k in range(4)]
-    alone = render_file("in.nii", "one.png", options=RenderOptions(size=(40, 40), camera=Camera(100, 20)))
+    alone = render_file(Job("in.nii", "one.png"), options=RenderOptions(size=(40, 40), camera=Camera(100, 20)))
     np.testing.assert_array_equal(image.read("turn/01.png").pixels, image.read("one.png").pixels)
     assert alone.turned(Camera(10, 20), 1, 4) == Camera(100, 20)
     with pytest.raises(supple.SuppleError, match="exists already"):
-        render_file("in.nii", "turn/%02d.png", options=known)
-    render_file("in.nii", "turn/%02d.png", options=known, force=True)
+        render_file(Job("in.nii", "turn/%02d.png"), options=known)
+    render_file(Job("in.nii", "turn/%02d.png", force=True), options=known)
 
 
 def test_inversions(here: Path) -> None:
@@ -272,7 +275,7 @@ def test_series_and_raw(here: Path) -> None:
     shape = ",".join(map(str, SHAPE[::-1]))
     assert command(["render", "x.raw", "raw.png", "--shape", shape, "--dtype", "<i2"]) == 0
     options = VolumeOptions(layout=media.RawLayout(SHAPE[::-1], "<i2"))
-    render_file("x.raw", "raw2.png", volume=options)
+    render_file(Job("x.raw", "raw2.png", volume=options))
     np.testing.assert_array_equal(image.read("raw.png").pixels, image.read("raw2.png").pixels)
 
 
@@ -372,7 +375,7 @@ def test_values_between_two_shades_are_seen(here: Path) -> None:
     samples = head(0, 20000)
     stored("in.nii", samples)
     value = float(samples[11, 16, 6])
-    scene = render_file("in.nii", "out.png", options=RenderOptions(density=(value - 0.2, value + 0.2)))
+    scene = render_file(Job("in.nii", "out.png"), options=RenderOptions(density=(value - 0.2, value + 0.2)))
     assert not scene.is_empty
     assert image.read("out.png").pixels[..., 3].any()
 
@@ -385,7 +388,7 @@ def test_a_transfer_function_appears_with_its_picture(here: Path, monkeypatch: p
 
     monkeypatch.setattr(image, "write", full)
     with pytest.raises(supple.SuppleError, match="No space left"):
-        render_file("in.nii", "out.png", options=RenderOptions("grey", save_transfer="look.json", size=(8, 8)))
+        render_file(Job("in.nii", "out.png"), options=RenderOptions("grey", save_transfer="look.json", size=(8, 8)))
     assert [path.name for path in here.iterdir()] == ["in.nii"]
 
 

@@ -13,6 +13,7 @@ import SimpleITK as sitk  # noqa: N813
 import supple
 from supple import _core
 from supple.errors import SuppleError, VolumeWarning
+from supple.files.jobs import Job
 from supple.files.options import VolumeOptions
 from supple.files.renders import RenderOptions, render_file
 from supple.render.appearance import largest
@@ -339,7 +340,7 @@ def test_a_segmentation_has_the_colours_of_its_segments(tmp_path: Path) -> None:
     for name, text in SEGMENTS.items():
         image.SetMetaData(name, text)
     sitk.WriteImage(image, str(tmp_path / "parts.seg.nrrd"))
-    scene = render_file(tmp_path / "parts.seg.nrrd", tmp_path / "a.png", options=RenderOptions(size=SIZE))
+    scene = render_file(Job(tmp_path / "parts.seg.nrrd", tmp_path / "a.png"), options=RenderOptions(size=SIZE))
     assert isinstance(scene.transfer, LabelColours)
     assert scene.transfer.colours == {
         1: (1.0, 0.0, 0.0, 1.0), 3: (0.5, 0.25, 1.0, 1.0),
@@ -360,7 +361,7 @@ def test_layers_of_segments_are_no_colours(tmp_path: Path) -> None:
     image.SetMetaData("Segment0_LabelValue", "1")
     sitk.WriteImage(image, str(tmp_path / "layers.seg.nrrd"))
     with pytest.raises(SuppleError, match=r"layers.seg.nrrd is a segmentation in 3 layers"):
-        render_file(tmp_path / "layers.seg.nrrd", tmp_path / "a.png")
+        render_file(Job(tmp_path / "layers.seg.nrrd", tmp_path / "a.png"))
     with pytest.warns(VolumeWarning, match=r"layers.seg.nrrd is a label map"):
         supple.warp_file(tmp_path / "layers.seg.nrrd", tmp_path / "b.nrrd", strokes())
 

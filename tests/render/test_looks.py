@@ -13,6 +13,7 @@ from scipy import ndimage
 import supple
 from supple.cli import command
 from supple.errors import SuppleError
+from supple.files.jobs import Job
 from supple.files.renders import RenderOptions, render_file
 from supple.files.volumes import open_volume
 from supple.media import image
@@ -224,7 +225,7 @@ def test_the_command_does_what_python_does(tmp_path: Path, monkeypatch: pytest.M
     }  # fmt: skip
     for name, (words, options) in given.items():
         assert command(["render", "in.nii", f"{name}.png", "--size", "60x50", *words]) == 0
-        render_file("in.nii", f"{name}2.png", options=RenderOptions(size=(50, 60), **options))
+        render_file(Job("in.nii", f"{name}2.png"), options=RenderOptions(size=(50, 60), **options))
         seen = image.read(f"{name}.png").pixels
         np.testing.assert_array_equal(seen, image.read(f"{name}2.png").pixels)
     plain = image.read("plain.png").pixels

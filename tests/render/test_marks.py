@@ -15,6 +15,7 @@ import pytest
 
 import supple
 from supple.cli import command
+from supple.files.jobs import Job
 from supple.files.renders import RenderOptions, render_file
 from supple.gpu.device import Gpu
 from supple.media import image
@@ -153,7 +154,7 @@ def test_a_file_with_marks(here: Path, gpu: Gpu, device: str) -> None:
     plain, marked = (image.read(f"{name}.png").pixels for name in ("plain", "marked"))
     camera, size = Camera(azimuth=38), (121, 150)
     known = RenderOptions(camera=camera, size=size, annotate=True, device=device)
-    scene = render_file("head.nii.gz", "python.png", options=known)
+    scene = render_file(Job("head.nii.gz", "python.png"), options=known)
     np.testing.assert_array_equal(image.read("python.png").pixels, marked)
     view = scene.view(scene.framed(camera, size), size)
     np.testing.assert_array_equal(marked, annotated(plain, view, scene.geometry))

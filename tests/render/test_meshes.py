@@ -14,7 +14,7 @@ from vtk.util.numpy_support import vtk_to_numpy
 import supple
 from supple.cli import command
 from supple.errors import OutsideWarning, SuppleError
-from supple.files.meshes import COLOURS, MeshFile, read_surfaces
+from supple.files.renders import COLOURS, MeshFile, read_surfaces
 from supple.files.volumes import open_volume
 from supple.gpu.device import Gpu
 from supple.media import image

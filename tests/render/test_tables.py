@@ -12,6 +12,8 @@ import pytest
 
 from supple.cli import command
 from supple.errors import VolumeWarning
+from supple.files.jobs import Job
+from supple.files.renders import RenderOptions, render_file
 from supple.render.appearance import levelled, without_table
 from supple.render.scene import Scene
 from supple.render.transfer import PRESETS
@@ -52,29 +54,24 @@ def test_without_a_table_nothing_is_said_or_changed(tmp_path: Path, monkeypatch:
     stored("ct.nii", given)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        from supple.files.renders import RenderOptions, render_file
-
-        render_file("ct.nii", "a.png", options=RenderOptions(transfer="ct-skin", size=(40, 40)))
+        render_file(Job("ct.nii", "a.png"), options=RenderOptions(transfer="ct-skin", size=(40, 40)))
 
 
 def test_the_presets_of_ct_leave_it_out_unless_it_is_asked_for(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any
 ) -> None:
-    from supple.files.renders import RenderOptions, render_file
-
     monkeypatch.chdir(tmp_path)
     stored("ct.nii", patient())
     small = (40, 40)
     with pytest.warns(
         VolumeWarning, match=r"% of what is as dense as skin in ct.nii is thin and lies beside the body.*: table"
     ):
-        bare = render_file("ct.nii", "a.png", options=RenderOptions(transfer="ct-skin", size=small))
+        bare = render_file(Job("ct.nii", "a.png"), options=RenderOptions(transfer="ct-skin", size=small))
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         for k, options in enumerate(({"table": True}, {"largest": True}, {"transfer": "grey"})):
-            scene = render_file(
-                "ct.nii", f"{k}.png", options=RenderOptions(**{"transfer": "ct-skin", **options}, size=small)
-            )
+            look = RenderOptions(**{"transfer": "ct-skin", **options}, size=small)
+            scene = render_file(Job("ct.nii", f"{k}.png"), look)
             assert (scene.samples[:, 31, 10:40] > -450).all() == (not options.get("largest", False))
     assert (bare.samples[:, 31, 10:40] == -1000).all()
     assert command(["render", "ct.nii", "b.png", "--size", "40x40", "--transfer", "ct-skin"]) == 0

@@ -12,6 +12,8 @@ from hypothesis import strategies as st
 
 from supple import Key, Recipe, Stroke, SuppleError
 from supple.files.clips import deformation_of, motion_of
+from supple.files.jobs import Job
+from supple.files.options import ClipOptions
 from supple.viewer.document.editing import Document
 from supple.viewer.document.keyframes import (
     PARTS,
@@ -24,6 +26,7 @@ from supple.viewer.document.keyframes import (
     with_key_here,
     without,
 )
+from tests.clips import closed
 from tests.viewer.tools import click, clip, down, drag, move, press, up, wheel
 
 PULL = Stroke(at=(100, 100), by=(10, 5), radius=30)
@@ -315,7 +318,8 @@ def test_frames_that_are_kept_are_those_of_an_export(stroke: Stroke) -> None:
     d.compare(0)
     d.set_hold(2)
     if d.timed:
-        assert d.deformation == deformation_of(recipe, count, (200, 300), None, "a.mp4", hold=2)
+        job = Job("", "", recipe, clip=ClipOptions(hold=2))
+        assert d.deformation == deformation_of(job, closed("a.mp4", count, (200, 300)))
         assert d.base == d.deformation
     else:
         for frame, wanted in enumerate(motion_of(recipe, count, (200, 300), hold=2)):

@@ -19,6 +19,7 @@ import pytest
 
 import supple
 from supple.errors import ScaleWarning, SuppleError
+from supple.files.jobs import Job
 from supple.files.options import ClipOptions, VolumeOptions
 from supple.files.volumes import deformation_of
 from supple.gpu.device import Gpu
@@ -126,7 +127,7 @@ def test_a_clip_plays_and_is_bent_in_time(gpu: Gpu, state: Path) -> None:
         from supple.engine.stream import make_plan
         from supple.files.clips import deformation_of, sampling_of, streamed, work_on
 
-        d = deformation_of(view.recipe, clip.count, clip.layout.shape, 1.0, clip.name)
+        d = deformation_of(Job("", "", view.recipe, clip=ClipOptions(time_scale=1.0)), clip)
         work = work_on(clip, (d,), sampling_of(clip))
         ((_, arrays, _),) = streamed(clip, work, make_plan(work, [5]), 2e9)
         wanted = clip.to_rgb(arrays)
@@ -194,7 +195,7 @@ def test_the_first_strokes_may_be_places_in_space(gpu: Gpu, state: Path) -> None
     np.testing.assert_allclose(view.document.strokes[0].at, (45, 60, 50), atol=1e-6)
     assert (view.recipe.space, view.recipe.size) == ("RAS", head.sizes)
     np.testing.assert_allclose(view.recipe.strokes[0].at, at, atol=1e-9)
-    wanted = deformation_of(recipe, head, world=True)
+    wanted = deformation_of(Job("", "", recipe, volume=VolumeOptions(world=True)), head)
     assert view.document.deformation.strokes == wanted.strokes
 
 

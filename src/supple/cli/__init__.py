@@ -70,7 +70,7 @@ _COMMANDS = (
     ("cli.volume:render", f"render VOLUME OUT [{_GRAB}]"),
     ("cli.volume:points", f"points IN OUT --on FILE {_GRAB}"),
     ("cli.track:track", "track CLIP OUT.csv --at X,Y,K [--at X,Y,K]... [OPTIONS]"),
-    ("cli.stores:plan", f"plan IN {_GRAB}"),
+    ("cli.warp:plan", f"plan IN {_GRAB}"),
     ("cli.info:info", "info FILE... [--gpu] [--json]"),
     ("cli.view:view", "view FILE [--serve] [OPTIONS]"),
     ("cli.fields:invert", "invert FIELD OUT [OPTIONS]"),

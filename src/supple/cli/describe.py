@@ -9,7 +9,7 @@ import os
 from collections.abc import Mapping
 from fractions import Fraction
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from supple.errors import SuppleError, shown
 from supple.files.clips import displayed
@@ -19,9 +19,6 @@ from supple.media.suffixes import CLIPS
 from supple.media.timecode import Numbering
 from supple.space.freezing import Freeze
 from supple.strokes import Recipe, Stroke, spoken
-
-if TYPE_CHECKING:
-    from supple.media.volume import RawLayout
 
 # The names of colour codes in ITU-T H.273.
 _PRIMARIES = {1: "BT.709", 4: "BT.470 M", 5: "BT.601 (625)", 6: "BT.601 (525)", 7: "SMPTE 240M", 8: "film"}
@@ -33,13 +30,11 @@ _MATRICES |= {9: "BT.2020", 10: "BT.2020 constant", 14: "ICtCp"}
 _TAGS = {"primaries": _PRIMARIES, "transfer": _TRANSFERS, "matrix": _MATRICES}
 
 
-def describe(
-    name: str, *, layout: RawLayout | None = None, series: str | None = None, irregular: str | None = None
-) -> tuple[dict[str, Any], str]:
+def describe(name: str, how: Mapping[str, Any]) -> tuple[dict[str, Any], str]:
     """Return the facts on a file, ready for JSON, and the same as text of several lines.
 
-    ``layout``, ``series`` and ``irregular`` are as in `supple.media.volume.read`. SuppleError if it is no picture,
-    video, image sequence, volume, Zarr store or recipe (.json).
+    ``how`` has options of `supple.media.volume.read`. SuppleError if it is no picture, video, image sequence, volume,
+    Zarr store or recipe (.json).
     """
     suffix = Path(name).suffix.lower()
     if suffix == ".json":
@@ -50,10 +45,10 @@ def describe(
     from supple.media import volume
     from supple.media.files import is_store
 
-    if is_store(name) and layout is None:
+    if is_store(name) and "raw" not in how:
         return _stored(name)
-    if layout is not None or series is not None or volume.is_volume(name):
-        facts = volume.info(name, raw=layout, series=series, irregular=irregular)
+    if {"raw", "series"} & {*how} or volume.is_volume(name):
+        facts = volume.info(name, **how)
         if facts.get("format") == "NIfTI" and facts.get("components") == 3:
             facts |= _field(name)
         return {"file": name, "kind": "volume", **facts}, _volume(name, facts)

@@ -15,14 +15,10 @@ if TYPE_CHECKING:
     from supple.files.places import Places
 
 FACES = Group("Faces", sort_key=1)
-_WANTED = "percent from -100 to 100"
 
 
 def _percent(option: str, text: str) -> float:
-    percent = parse_number(option, text.strip().removesuffix("%"), _WANTED)
-    if not -100 <= percent <= 100:
-        raise SuppleError(f"{option} must be {_WANTED}, found {text!r}")
-    return percent
+    return parse_number(option, text.strip().removesuffix("%"), "percent from -100 to 100", (-100, 100))
 
 
 _PERCENT = partial(read, _percent, "PERCENT", show_default=False)

@@ -48,9 +48,7 @@ def info(
         with about(File(name, named=len(files) > 1)):
             try:
                 with piped((name, ""), console) as (path, _):
-                    facts, text = describe(
-                        str(path), layout=reading.layout, series=reading.series, irregular=reading.irregular
-                    )
+                    facts, text = describe(str(path), reading.how)
                 if name == STREAM:
                     facts, text = {**facts, "file": "-"}, text.replace(str(path), "standard input")
             except SuppleError as error:

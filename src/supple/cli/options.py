@@ -18,9 +18,8 @@ if TYPE_CHECKING:
     from fractions import Fraction
 
     from supple.engine.sampling import Sampling
-    from supple.files.options import ClipOptions
+    from supple.files.options import ClipOptions, Running
     from supple.files.options import VolumeOptions as Reading
-    from supple.files.tasks import Running
     from supple.media.timecode import Numbering
     from supple.strokes import Recipe
 
@@ -50,20 +49,24 @@ def options_of(group: Group | None = None) -> "Callable[[type[Options]], type[Op
     return options
 
 
-def parse_numbers(name: str, text: str, wanted: str, *counts: int) -> tuple[float, ...]:
-    """Parse comma-separated numbers; their count must be one of ``counts``, if any are given."""
+def parse_numbers(
+    name: str, text: str, wanted: str, *counts: int, ends: tuple[float, float] | None = None
+) -> tuple[float, ...]:
+    """Parse comma-separated numbers; their count must be one of ``counts``, and each between the ``ends``, if given."""
     try:
         numbers = tuple(map(float, text.split(",")))
     except ValueError:
         numbers = ()
-    if not numbers or (counts and len(numbers) not in counts):
+    low, high = ends or (-math.inf, math.inf)
+    beyond = ends is not None and not all(low <= x <= high for x in numbers)  # as NaN is
+    if not numbers or (counts and len(numbers) not in counts) or beyond:
         raise SuppleError(f"{name} must be {wanted}, found {text!r}")
     return numbers
 
 
-def parse_number(name: str, text: str, wanted: str) -> float:
-    """Parse a number."""
-    return parse_numbers(name, text, wanted, 1)[0]
+def parse_number(name: str, text: str, wanted: str, ends: tuple[float, float] | None = None) -> float:
+    """Parse a number, between two ends if they are given."""
+    return parse_numbers(name, text, wanted, 1, ends=ends)[0]
 
 
 def parse_three(name: str, text: str) -> tuple[float, ...]:
@@ -88,9 +91,9 @@ def read(how: Callable[[str, str], object], metavar: str, **more: Any) -> Parame
     return Parameter(metavar=metavar, allow_leading_hyphen=True, converter=convert, n_tokens=1, **more)
 
 
-def number(wanted: str, metavar: str, **more: Any) -> Parameter:
+def number(wanted: str, metavar: str, ends: tuple[float, float] | None = None, **more: Any) -> Parameter:
     """Return an option that is a number; ``wanted`` describes it in the error for anything else."""
-    return read(partial(parse_number, wanted=wanted), metavar, **more)
+    return read(partial(parse_number, wanted=wanted, ends=ends), metavar, **more)
 
 
 def whole(metavar: str = "N", **more: Any) -> Parameter:
@@ -108,27 +111,16 @@ def words(metavar: str) -> Parameter:
     return Parameter(metavar=metavar, show_choices=False)
 
 
-def _scale(option: str, text: str) -> float:
-    wanted = "a number of pixels above 0"
-    scale = parse_number(option, text, wanted)
-    if not 0 < scale < math.inf:
-        raise SuppleError(f"{option} must be {wanted}, found {text!r}")
-    return scale
-
-
 def _rate(option: str, text: str) -> "float | Fraction":
     """Parse frames a second: a number, or a ratio of two."""
     from fractions import Fraction
 
-    if "/" not in text:
-        rate: float | Fraction = parse_number(option, text, "a number of frames a second")
-    else:
-        try:
-            rate = Fraction(text)
-        except (ValueError, ZeroDivisionError):
-            raise SuppleError(f"{option} must be a number of frames a second, or 24000/1001, found {text!r}") from None
+    try:
+        rate = Fraction(text) if "/" in text else float(text)
+    except (ValueError, ZeroDivisionError):
+        rate = 0.0
     if not 0 < rate <= 100_000:
-        raise SuppleError(f"{option} must be a number of frames a second above 0, found {text!r}")
+        raise SuppleError(f"{option} must be a number of frames a second above 0, or 24000/1001, found {text!r}")
     return rate
 
 
@@ -136,10 +128,7 @@ def parse_memory(option: str, text: str) -> float:
     """Parse gigabytes, and return bytes."""
     from supple.files.options import GB
 
-    memory = parse_number(option, text, "a number of gigabytes")
-    if not memory >= 0:
-        raise SuppleError(f"{option} must be a number of gigabytes from 0, found {text!r}")
-    return min(memory, 1e12) * GB
+    return min(parse_number(option, text, "a number of gigabytes from 0", (0, math.inf)), 1e12) * GB
 
 
 @options_of(RUNNING)
@@ -252,7 +241,7 @@ class TimeOptions:
         in the name of the first picture of a sequence (default 0). Frames may be timecodes, too: 00:00:12:08.
     """
 
-    time_scale: Annotated[float | None, read(_scale, "PX")] = None
+    time_scale: Annotated[float | None, number("a number of pixels above 0", "PX", (5e-324, 1e308))] = None
     first_frame: Annotated[Any, read(parse_first, "N|files")] = None
 
     def frames(self, source: str) -> Frames:
@@ -354,7 +343,7 @@ class TrackOptions:
         if auto and (len(paths) != 2 or paths[0] == STREAM):
             raise SuppleError("--track auto follows points through one clip: give the name of one, and of one to write")
         from supple.engine.progress import counted
-        from supple.files.tracks import follow_tracks
+        from supple.files.tracking import follow_tracks
 
         with counted(current().terminal) as tell, counting(frames.first):
             return follow_tracks(
@@ -427,8 +416,8 @@ def convention_of(path: str, reading: "Reading") -> str | None:
 
     For several files, it is that of the first; for standard input, which cannot be read twice, that of DICOM.
     """
-    from supple.files.volumes import place_of
-    from supple.media.medium import ONE_FILE, holds_volumes
+    from supple.media.files import is_store
+    from supple.media.medium import ONE_FILE, holds_volumes, opened
     from supple.media.suffixes import suffix_of
 
     if path == STREAM:
@@ -437,7 +426,9 @@ def convention_of(path: str, reading: "Reading") -> str | None:
         path = min(glob.glob(path, recursive=True), default=path)
     elif holds_volumes(path):
         path = os.path.join(path, min(name for name in os.listdir(path) if suffix_of(name) in ONE_FILE))
-    return place_of(path, reading)
+    medium = opened(path, axes=None if is_store(path) else 3, how=reading.how)
+    solid = medium.kind in ("volume", "store") and medium.grid is not None and medium.grid.ndim == 3
+    return medium.outline.geometry.convention if solid else None
 
 
 @options_of(WRITING)
@@ -506,14 +497,9 @@ class WorkerOptions:
     workers: Annotated[int | None, whole()] = None
     scheduler: Annotated[str | None, Parameter(metavar="tcp://HOST:PORT")] = None
 
-    @property
-    def given(self) -> str | None:
-        """The name of a given option; None if there is none."""
-        return next((f"--{name}" for name, value in vars(self).items() if value is not None), None)
-
     def to_running(self) -> "Running":
         """Return the options as a `Running`."""
-        from supple.files.tasks import Running
+        from supple.files.options import Running
 
         return Running(**vars(self))
 

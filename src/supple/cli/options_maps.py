@@ -14,13 +14,10 @@ from supple.cli.options import COORDINATES, Texts, options_of, parse_integer, pa
 from supple.errors import OutsideWarning, SuppleError, shown
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from supple.cli.console import Console
     from supple.fields import Placed
     from supple.files.jobs import Job, Warped
     from supple.files.options import GridOptions
-    from supple.files.stores import WarpedStore
     from supple.space.affine import Affine
     from supple.space.geometry import Grid
 
@@ -258,18 +255,16 @@ class Maps:
                 self._known = source, read
             return self._known[1]
 
-    def placed(
-        self, console: "Console", job: "Job", grid_of: "Callable[[Job], Grid | None]" = lambda job: job.medium.grid
-    ) -> "Job":
+    def placed(self, console: "Console", job: "Job") -> "Job":
         """Return a job with the maps, read for the grid of its file; print each."""
         from supple.files.clips import refuse_maps
 
         if not self:
             return job
-        own = grid_of(job)
+        own = job.medium.grid
         if own is not None and any(each.map.ndim != own.ndim for each in self.read(own)):
             job = replace(job, maps=self.read(own))  # with these, pages may become a volume
-            own = grid_of(job)
+            own = job.medium.grid
         if own is None:
             refuse_maps(job.source)
         return replace(job, maps=self.on(console, own, job.medium.name, job.grid))
@@ -387,7 +382,7 @@ def describe_grid(facts: dict[str, Any], units: str) -> str:
 
 
 def say_output(
-    console: "Console", made: "Warped | WarpedStore", grid: "Grid | None", target: object, source: object, world: bool
+    console: "Console", made: "Warped", grid: "Grid | None", target: object, source: object, world: bool
 ) -> None:
     """Print the grid of a result if it was given, the convention of its points, and the fill value outside the input.
 
@@ -405,7 +400,7 @@ def say_output(
     say_convention(console, world, made.geometry, source)
 
 
-def output_facts(made: "Warped | WarpedStore") -> dict[str, Any]:
+def output_facts(made: "Warped") -> dict[str, Any]:
     """Return the facts on the grid of a result, and on the effects of maps, ready for JSON."""
     facts: dict[str, Any] = {}
     if made.background is not None:

@@ -85,11 +85,8 @@ def _part(option: str, text: str) -> float:
     from supple.strokes import LEAST, MOST
 
     wanted = "a part of the strokes, from -100% to 200%, or from -1 to 2"
-    percent = text.strip().endswith("%")
-    part = parse_number(option, text.strip().removesuffix("%"), wanted) / (100 if percent else 1)
-    if not LEAST <= part <= MOST:
-        raise SuppleError(f"{option} must be {wanted}, found {text!r}")
-    return part
+    unit = 100 if text.strip().endswith("%") else 1
+    return parse_number(option, text.strip().removesuffix("%"), wanted, (LEAST * unit, MOST * unit)) / unit
 
 
 @dataclass(frozen=True)

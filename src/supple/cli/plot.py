@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -68,28 +69,19 @@ def plot(
 
     typed, reading = video.frames(source), volume.to_reading()
     edits = strokes.read(maps, reading, console.arguments, source, reference=reference, frames=typed)
-    grid = None if reference is None else GridOptions(reference)
+    job = Job(
+        source, "", edits.recipe, clip=video.to_clip(), force=options.force, fit=strokes.to_fit(), volume=reading,
+        grid=None if reference is None else GridOptions(reference),
+    )  # fmt: skip
     with counting(typed.first):
         deformation = plot_file(
-            source,
-            target,
-            edits.recipe,
-            what,
-            frame=None if frame is None else typed.read("--frame", frame),
-            x=x,
-            y=y,
-            clip=video.to_clip(),
-            force=options.force,
-            progress=console.terminal,
-            fit=strokes.to_fit(),
-            maps=edits.maps.placed(console, Job(source, "", edits.recipe, volume=reading, grid=grid)).maps,
-            volume=reading,
+            replace(edits.maps.placed(console, job), target=target), what,
+            frame=None if frame is None else typed.read("--frame", frame), x=x, y=y, progress=console.terminal,
             plane=plane,
-            reference=reference,
-        )
+        )  # fmt: skip
     if options.json:
-        job = (Path(source), Path(target))
-        facts = picture_facts(job, deformation, deformation.report()) if deformation.ndim == 2 else told(deformation)
+        pair = (Path(source), Path(target))
+        facts = picture_facts(pair, deformation, deformation.report()) if deformation.ndim == 2 else told(deformation)
         console.tell({**facts, "input": source, "output": target, "what": what})
 
 

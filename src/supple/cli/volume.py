@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -30,9 +30,8 @@ from supple.errors import SuppleError, spelling
 
 if TYPE_CHECKING:
     from supple.deformation import Deformation
-    from supple.files.meshes import MeshFile
     from supple.files.options import VolumeOptions as Reading
-    from supple.files.renders import RenderOptions
+    from supple.files.renders import MeshFile, RenderOptions
     from supple.render.box import Clip, Plane
     from supple.render.camera import Camera
     from supple.space.geometry import Geometry
@@ -221,7 +220,7 @@ class LookOptions:
 
 
 def _mesh(text: str) -> MeshFile:
-    from supple.files.meshes import MeshFile
+    from supple.files.renders import MeshFile
 
     path, _, digits = text.rpartition(":#")
     return MeshFile(path, _colour("--mesh", digits, "must end in")) if path else MeshFile(text)
@@ -253,6 +252,7 @@ def render(
     """
     console = options.start(source)
     from supple.engine.progress import counted
+    from supple.files.jobs import Job
     from supple.files.options import GridOptions
     from supple.files.renders import render_file
     from supple.media.medium import Medium
@@ -260,22 +260,21 @@ def render(
 
     warn_of_software(console, look.device)
     reading = volume.to_reading()
-    medium = Medium(source, "volume", reading.layout, reading.series, reading.irregular)
+    medium = Medium(source, "volume", reading.how)
     edits = strokes.read(
         maps, reading, console.arguments, source, reference=reference, empty=True, points=bool(look.mesh)
     )
-    recipe = edits.recipe if strokes.any else None
     with spelling(_NAMING):
         render = look.to_render(Camera(**vars(camera)), maps.coordinates)
-    if reading.world and recipe is None:
+    if reading.world and not strokes.any:
         raise SuppleError("--world is about the points of strokes, and there are none: leave it out")
     grid = None if reference is None else GridOptions(reference)
     placed = edits.maps.on(console, medium.outline.grid, medium.name, grid) if edits.maps else ()
+    job = Job(
+        source, target, edits.recipe, volume=reading, force=options.force, fit=strokes.to_fit(), maps=placed, grid=grid
+    )
     with spelling(_NAMING), counted(console.terminal) as tell, workers() as who:
-        scene = render_file(
-            source, target, recipe, options=render, volume=reading, force=options.force, tell=tell,
-            fit=strokes.to_fit(), maps=placed, reference=reference,
-        )  # fmt: skip
+        scene = render_file(job, render, tell=tell)
     say_convention(console, reading.world, scene.geometry, source)
     if render.transfer is None and scene.labels is not None and not console.quiet:
         console.say(f"{source} is drawn as a label map, of {len(scene.labels)} labels: --transfer grey draws values")
@@ -378,32 +377,24 @@ def _deformation(
     from supple.files.landmarks import warn_of_frame
     from supple.files.options import GridOptions
     from supple.files.volumes import deformation_of as on_volume
-    from supple.files.volumes import open_volume
-    from supple.media.files import is_store
     from supple.strokes import fit_recipe
 
     recipe, elements = edits.recipe, edits.maps
     moving = Path(on).with_suffix(".mp4") if recipe.strokes and recipe.strokes[0].ndim == 3 else on
     job = Job(
-        on, moving, recipe, volume=reading, grid=None if elements.reference is None else GridOptions(elements.reference)
-    )
-    if is_store(on):
-        from supple.cli.stores import refer
-        from supple.files.plans import open_source, warp_on
-
-        job = refer(current(), replace(job, fit=fit), elements)
-        source = open_source(job)
-        return warp_on(source, job).deformation, source.geometry
+        on, moving, recipe, volume=reading, fit=fit, clip=video.to_clip(),
+        grid=None if elements.reference is None else GridOptions(elements.reference),
+    )  # fmt: skip
     job = elements.placed(current(), job)
-    if job.medium.kind == "volume":
-        volume = open_volume(on, reading)
+    medium = job.medium
+    if medium.grid is not None and medium.grid.ndim == 3:
+        volume = medium.outline
         warn_of_frame(points, volume)
-        return on_volume(recipe, volume, world=reading.world, fit=fit, maps=job.maps), volume.geometry
+        return on_volume(job, volume), volume.geometry
     if reading.world:
         raise SuppleError(f"{argument('world')} is for volumes, and {on} is none: leave it out")
     refuse_places(recipe, on)
-    if (own := job.medium.grid) is None:
-        known = video.to_clip()
-        with open_clip(on, rate=known.rate) as clip:
-            return on_clip(recipe, clip.count, clip.layout.shape, known.time_scale, clip.name, fit), None
+    if (own := medium.grid) is None:
+        with open_clip(on, rate=job.clip.rate) as clip:
+            return on_clip(job, clip), None
     return Deformation.from_recipe(fit_recipe(recipe, own.sizes, fit, on), own, maps=job.maps), None

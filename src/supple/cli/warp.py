@@ -1,10 +1,10 @@
-"""The command that bends files."""
+"""The commands that bend files, and that plan it."""
 
 import glob
 import os
 import re
 from collections.abc import Callable, Collection, Iterable
-from dataclasses import replace
+from dataclasses import asdict, replace
 from functools import partial
 from itertools import chain
 from pathlib import Path
@@ -51,12 +51,13 @@ from supple.errors import SuppleError, shown
 if TYPE_CHECKING:
     from supple.deformation import Deformation, Report
     from supple.files.jobs import Warped
-    from supple.files.stores import WarpedStore
+    from supple.files.stores import Planned
     from supple.strokes import Recipe
 
 Warper = Literal["auto", "cpu", "cuda"]
 Tell = Callable[[str], None]
-Pair = tuple[Path, Path]
+_OF_STORES = ("shape", "levels", "labels", "blocks", "done", "copied", "read", "copied_bytes")
+Pair = tuple[Any, Any]  # of Path; for one file, which may be at a URL, of str
 
 
 def warp(
@@ -166,6 +167,7 @@ def warp(
     template = Job(
         paths[0], paths[-1], recipe, known, outside, clamp, writing.quality, writing.lossless, device, options.force,
         shot, reading, strokes.to_fit(), grid=grid, compression="fast" if fast else compression,
+        running=running.to_running(),
     )  # fmt: skip
     if fast and compression is not None:
         raise SuppleError("--fast is a compression, and so is what --compression names: give one of them")
@@ -176,27 +178,22 @@ def warp(
     if save_recipe is not None:
         check_recipe_name(save_recipe, force=options.force)
 
-    if any(map(is_store, paths)):
-        from supple.cli.stores import warp_stored
-
-        several.check(False, options.force)
-        _check_apart(save_recipe, [save_field, *paths])
-        stored = warp_stored(console, paths, template, elements, running.to_running(), json=options.json)
-        if save_recipe is not None:
-            write_recipe(save_recipe, _kept(recipe, stored, reading.world), force=options.force)
-        return
-    if running.given is not None:
-        raise SuppleError(f"{running.given} is for Zarr stores, and {shown(paths[0])} is none: leave it out")
     paths = _as_clip(paths, recipe)
     left: list[Path] = []
     single = len(paths) == 2 and not _stands_for_several(paths[0]) and not holds_volumes(paths[0])
+    stored = next(filter(is_store, paths), "")
+    if stored and STREAM in paths:
+        raise SuppleError(f"{shown(stored)} is a Zarr store, and standard input or standard output is none: name one")
+    if stored and not single:
+        raise SuppleError(f"{shown(stored)} is a Zarr store, and stores are written one at a time: name one, and OUT")
     into = os.path.isdir(paths[-1]) or paths[-1].endswith(("/", os.sep))
     if single:
         medium = replace(template, source=paths[0], target=paths[1]).medium
         # DICOM slices are written to a folder as one volume; a folder of other volumes is a batch, as for pictures
-        single = medium.kind == "clip" or (medium.kind == "volume" and (not into or medium.is_dicom))
+        single = medium.kind in ("clip", "store") or (medium.kind == "volume" and (not into or medium.is_dicom))
     if single:
-        pairs, many = [(Path(paths[0]), Path(paths[1]))], False
+        named, many = str if medium.kind == "store" else Path, False
+        pairs = list[Pair]([(named(paths[0]), named(paths[1]))])
     else:
         pairs, many, left = pair(paths[:-1], paths[-1], recursive=several.recursive)
     several.check(many, options.force)
@@ -207,7 +204,7 @@ def warp(
             f"--landmarks {marks} is of one picture, and there are several: give a folder with a file for each, or a "
             "pattern ('marks/*.pts')"
         )
-    there = [target for _, target in pairs if several.skip_existing and target.exists()]
+    there = [target for _, target in pairs if several.skip_existing and os.path.exists(target)]
     pairs = [both for both in pairs if both[1] not in there]
     kept: set[Recipe] = set()
     files = {job: File(shown(job[0]), shown(job[1]), many) for job in pairs}
@@ -222,11 +219,23 @@ def warp(
                     job.check()  # before any output, in case the job is refused
                     job = elements.placed(console, job)
                 used = {"maps": elements.facts(job.medium.grid)} if elements and options.json else {}
-                made = job.warp(tell)
+
+                def written(step: str, done: int, total: int) -> None:
+                    if job.medium.kind == "store" and step in ("field", "warp"):
+                        parts, name = ("blocks", target) if step == "warp" else ("parts", save_field or "")
+                        what = f"{done} of {total} {parts} of {shown(name)} are written"
+                        console.goes_on = f"{what}, the same command goes on"
+
+                made = job.warp(tell, written)
             kept.add(_kept(job.recipe, made, reading.world))
             if options.json:
                 known = {"input": "-"} if str(pair[0]) == STREAM else {}
                 console.tell({**_facts_of(pair, made), **used, **known, "device": who()})
+            if made.done:
+                what = f"{made.done} of {made.blocks} blocks were there already"
+                console.note(f"{shown(pair[1])}: {what}, of a job that was interrupted")
+            if made.labels:
+                console.note(f"{shown(pair[1])}: the label images {', '.join(made.labels)} are bent with it")
             say_output(console, made, None if grid is None else made.grid, pair[1], pair[0], reading.world)
 
     lost: set[Pair] = set()
@@ -240,7 +249,7 @@ def warp(
 
     media = [replace(template, source=source, target=target).medium for source, target in pairs]
     kinds = {medium.kind for medium in media}
-    if kinds != {"clip"}:  # clips raise an error of their own
+    if kinds & {"picture", "volume"}:  # others raise an error of their own
         check_device(device)
     if many:
         from supple._core import threads
@@ -271,9 +280,9 @@ def warp(
         raise SomeFailedError(failures)
 
 
-def _kept(recipe: "Recipe", made: "Warped | WarpedStore", world: bool) -> "Recipe":
+def _kept(recipe: "Recipe", made: "Warped", world: bool) -> "Recipe":
     """Return a recipe for saving, with the size that it is for and the space of its points."""
-    own = getattr(made, "own", None) or made.deformation.grid
+    own = made.own or made.deformation.grid
     size, space = recipe.size or own.sizes, recipe.space or "pixels"
     if world and made.geometry is not None:
         space = made.geometry.convention  # type: ignore[assignment]
@@ -337,12 +346,15 @@ def _check_apart(save_recipe: str | None, paths: Iterable[str | Path | None]) ->
 def _facts_of(pair: Pair, made: "Warped") -> dict[str, Any]:
     """Return the facts on a warped file, ready for JSON."""
     grid = made.grid or made.own or made.deformation.grid
-    sizes = dict(zip(("width", "height", "depth"), grid.sizes[: 3 if made.kind == "volume" else 2], strict=False))
+    sizes = dict(zip(("width", "height", "depth"), grid.sizes[: 2 if made.kind == "clip" else 3], strict=False))
     if made.kind == "picture":
         facts = picture_facts(pair, made.deformation, made.report()) | sizes
     else:
         facts = {"input": str(made.source), "output": str(made.target), **sizes}
-        if made.geometry is None:
+        if made.kind == "store":
+            facts |= {name: getattr(made, name) for name in _OF_STORES} | {"spacing": grid.spacing}
+            facts |= {} if made.field is None else {"field": asdict(made.field)}
+        elif made.geometry is None:
             facts |= {"frames": made.frames, "still": made.still, "copied": made.copied, "held": made.held}
             if made.between:
                 facts["between"] = made.between
@@ -356,7 +368,69 @@ def _facts_of(pair: Pair, made: "Warped") -> dict[str, Any]:
 
 def picture_facts(job: Pair, deformation: "Deformation", report: "Report") -> dict[str, Any]:
     """Return the facts on a warped or plotted picture, ready for JSON."""
-    from dataclasses import asdict
-
     height, width = deformation.shape
     return {"input": str(job[0]), "output": str(job[1]), "width": width, "height": height, **asdict(report)}
+
+
+def plan(
+    source: Annotated[str, Parameter(name="IN")],
+    /,
+    *,
+    strokes: StrokeOptions = StrokeOptions(),
+    maps: MapOptions = MapOptions(),
+    output: OutputOptions = OutputOptions(),
+    sampling: SamplingOptions = SamplingOptions(),
+    labels: Labels = False,
+    volume: VolumeArguments = VolumeArguments(),
+    running: WorkerOptions = WorkerOptions(),
+    options: RunOptions = RunOptions(),
+) -> None:
+    """Tell what a warp in blocks would read and write, without reading a sample.
+
+    Parameters
+    ----------
+    source
+        A Zarr array or an OME-Zarr image, a volume, or a picture.
+    labels
+        The input is a label map, as of warp.
+    """
+    from supple.engine.progress import counted
+    from supple.files.jobs import Job
+    from supple.files.stores import PLANNED, plan_file
+
+    console = options.start(source)
+    grid = output.to_grid()
+    reading = volume.to_reading(labels=labels)
+    edits = strokes.read(
+        maps, reading, console.arguments, source, target=source, reference=output.onto, empty=grid is not None
+    )
+    known, outside = sampling.to_sampling(bool(edits.maps) or output.onto is not None)
+    job = Job(
+        source, PLANNED, edits.recipe, known, outside, volume=reading, fit=strokes.to_fit(), grid=grid,
+        running=running.to_running(),
+    )  # fmt: skip
+    job = edits.maps.placed(console, job)
+    with counted(console.terminal, "blocks") as tell:
+        found = plan_file(job, tell)
+    if options.json:
+        console.tell({"file": source, **asdict(found)})
+    else:
+        print(_described(source, found))
+
+
+def _described(name: str, found: "Planned") -> str:
+    from rich.filesize import decimal
+
+    from supple.cli.describe import listed
+
+    each = " x ".join(map(str, found.block))
+    copies = f"{found.copied} of them copies of what no stroke reaches ({decimal(found.copied_bytes)} uncompressed)"
+    lines = {
+        "output": f"{' x '.join(map(str, found.shape))} {found.dtype}, {decimal(found.size)} with coarser levels, "
+        "uncompressed",
+        "blocks": f"{found.blocks} of {each}, {copies if found.copied else 'none of them a copy'}",
+        "to read": f"{decimal(found.read)} of whole chunks, uncompressed{', beside the copies' * bool(found.copied)}",
+        "memory": f"{decimal(found.memory)} for each process, which works on {found.tasks} blocks at a time",
+        "error": f"{found.error:.2g} px at most, of the inverse map",
+    }
+    return listed(name, lines)

@@ -18,6 +18,7 @@ from supple.errors import MissWarning, SuppleError, argument, shown
 from supple.examples.scenes import BACKGROUND, DISTANCE, HEAD, INSIDE, SCENES, Look, Shot, Take
 from supple.files import warp_file
 from supple.files.clips import open_clip
+from supple.files.jobs import Job
 from supple.files.renders import RenderOptions, render_file
 from supple.gpu.device import gpu_of
 from supple.media.files import replacing
@@ -186,18 +187,18 @@ def _look(place: Path, look: Look, device: str) -> str:
         device=device,
     )
     source, target = place / look.source, place / look.target
-    made = render_file(source, target, look.recipe, options=view, force=True)
+    made = render_file(Job(source, target, look.recipe, force=True), options=view)
     if look.turntable:
         still = made.render(view.camera, view.size).pixels(view.background)
         video = _video(place, look.target, f"{look.name}.jpg", still, look.caption)
         return f'<div class="shot">\n{video}{_explained(look, _facts(made), [])}</div>\n'
     before, work = f"{look.name}-before.jpg", f"{look.name}-inversions.png"
-    render_file(source, place / before, options=view, force=True)
+    render_file(Job(source, place / before, force=True), options=view)
     compared = f"{_compared(look, before, *view.size)}{_explained(look, _facts(made), [])}"
     if look.density is not None:
         return f'<div class="shot">\n{compared}</div>\n'
     counted = replace(view, mode="exact", what="inversions", supersampling=1, background=None)
-    render_file(source, place / work, look.recipe, options=counted, force=True)
+    render_file(Job(source, place / work, look.recipe, force=True), options=counted)
     plot = _figure(
         place, work, "How often the map is evaluated for each ray of an exact rendering (it inverts all samples)."
     )

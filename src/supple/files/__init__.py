@@ -6,9 +6,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from supple.engine.sampling import Sampling
+from supple.engine.work import Tell, silent
 from supple.fields import Placed
 from supple.files.jobs import Job, Warped
-from supple.files.options import ClipOptions, GridOptions, PathLike, VolumeOptions
+from supple.files.options import ClipOptions, GridOptions, PathLike, Running, VolumeOptions
 from supple.strokes import Fit, Recipe
 
 __all__ = ["Job", "Warped", "warp_file"]
@@ -31,7 +32,7 @@ def warp_file(
     device: str = "cpu",
     force: bool = False,
     progress: bool | Callable[[str], None] = False,
-    tell: Callable[[str, int, int], None] | None = None,
+    tell: Tell = silent,
     clip: ClipOptions | None = None,
     volume: VolumeOptions | None = None,
     fit: Fit | None = None,
@@ -41,23 +42,34 @@ def warp_file(
     frame: int | None = None,
     hold: int | None = None,
     between: str | None = None,
+    running: Running | None = None,
 ) -> Warped:
-    """Warp an image file, a video, an image sequence, or a volume.
+    """Warp an image file, a video, an image sequence, a volume, or a Zarr store.
 
     An image keeps profile, EXIF, XMP and resolution; a video everything that its new container can hold; a volume its
     position in space, its scaling and, in the same format, its header. Colours are premultiplied for filtering. The
     target appears whole or not at all.
+
+    A store keeps its format: chunks, shards, codecs, levels and metadata; a volume or a picture becomes an OME-Zarr
+    image of version 0.5. It is written block by block, and after an interruption, the same call resumes the work. The
+    result equals that of `Deformation.warp` on each channel, bit for bit. Label images in an OME-Zarr image, on its
+    grid, are warped with it, and keep their labels.
 
     Parameters
     ----------
     source : str or os.PathLike
         An image (PNG, JPEG, TIFF, WebP, AVIF, GIF, OpenEXR, DPX, SGI, Radiance, JPEG 2000, BMP, TGA, PNM; HEIC, PSD
         and camera raw with the extra ``formats``); a video; a pattern such as ``frames/%05d.png``, or a folder of
-        images; a volume in NIfTI, NRRD, MetaImage, a stack of TIFF pages, ``.dat``, or a folder of DICOM slices.
+        images; a volume in NIfTI, NRRD, MetaImage, a stack of TIFF pages, ``.dat``, or a folder of DICOM slices; a Zarr
+        array or an OME-Zarr image, in a folder or at a URL of fsspec (``s3://``, ``gs://``, ``memory://``, ...). With
+        two axes of space, a store is a picture, in pixels; with three, a volume, in millimetres if its axes have units.
+        Other axes are carried along. If strokes have points of two numbers, each plane of a volume is a picture.
     target : str or os.PathLike
         The output; its suffix determines the format: one of those of images, except GIF; for clips, MP4, MOV, MKV,
         WebM, AVI, GIF, WebP or APNG, or a pattern or a folder for images; for volumes, NIfTI, NRRD, MetaImage or TIFF;
-        for DICOM, also DICOM: a folder for slices, or a ``.dcm`` for a multi-frame file.
+        for DICOM, also DICOM: a folder for slices, or a ``.dcm`` for a multi-frame file; for stores, volumes and
+        pictures, ``.zarr``, or a URL: then uncompressed NIfTI and raw voxels are memory-mapped, tiles and strips of a
+        TIFF are read when needed, and each process holds other volumes and pictures in memory.
     recipe : Recipe
         The strokes, the border and the fold policy. Strokes with a time, x, y and t in frames, warp the clip; strokes
         without one warp each frame alike, and each page of a TIFF; those with keys move from frame to frame. In
@@ -82,9 +94,11 @@ def warp_file(
     progress : bool or function
         Whether to show progress on a terminal; or a function, which is called before each stage with its name,
         ``"read"``, ``"warp"`` and ``"write"``. If it raises, no file is written. For a clip, ``"write"`` comes first,
-        and then ``"plan"`` and ``"warp"`` for every frame; with strokes that move, ``"plan"`` comes first.
+        and then ``"plan"`` and ``"warp"`` for every frame; with strokes that move, ``"plan"`` comes first. For a store,
+        they are ``"field"``, ``"plan"``, ``"warp"`` and ``"reduce"``.
     tell : function of (str, int, int), optional
-        Called like ``progress``, but with the finished and the total number of frames or slices, or stages of an image.
+        Called like ``progress``, but with the finished and the total number of frames, slices, blocks, or stages of an
+        image.
     clip : ClipOptions, optional
         Options for clips.
     volume : VolumeOptions, optional
@@ -101,6 +115,8 @@ def warp_file(
         As in `ClipOptions`, whose values they replace: the part of a clip that is bent, ``(first, last)``; the one
         frame that is written as a picture, for which only the frames that it needs are decoded; the number of frames at
         each end that keep every bit; and the interpolation between frames.
+    running : Running, optional
+        Where the blocks of a store are computed: by default, on threads of this process.
 
     Returns
     -------
@@ -122,5 +138,5 @@ def warp_file(
     return Job(
         source, target, recipe, Sampling(filter, tolerance, outside or "edge", fill, linear_light), outside, clamp,
         quality, lossless, device, force, known, volume or VolumeOptions(), fit, maps, grid,
-        compression,
+        compression, running or Running(),
     ).warp(progress, tell)  # fmt: skip

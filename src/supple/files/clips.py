@@ -39,7 +39,7 @@ from supple.space.checks import LONGEST_AXIS, integer, items, length, number, re
 from supple.space.domain import AUTO, Domain
 from supple.space.freezing import Freeze
 from supple.space.geometry import Grid
-from supple.strokes import Fit, Recipe, Stroke, fit_recipe, scaling_of
+from supple.strokes import Recipe, Stroke, fit_recipe, scaling_of
 
 if TYPE_CHECKING:
     from fractions import Fraction
@@ -120,9 +120,7 @@ def warp(job: Job, tell: Tell) -> Warped:
         known = job.clip
         with open_clip(job.source, rate=known.rate, count=count, target=job.target) as clip:
             bent = bent_of(clip, known)
-            deformations = deformations_of(
-                job.recipe, clip, known.time_scale, job.fit, tell, hold=known.hold, bent=bent
-            )
+            deformations = deformations_of(job, clip, tell, bent=bent)
             if count is None:
                 warn_of_still(job.recipe.strokes)
                 warn_of_frames(clip, deformations)
@@ -295,23 +293,16 @@ def is_picture_target(target: PathLike) -> bool:
     return not suffix or (is_sequence(target) and not (has_number(target) and suffix in VIDEOS_OUT))
 
 
-def deformation_of(
-    recipe: Recipe,
-    count: int,
-    shape: tuple[int, int],
-    time_scale: float | None,
-    name: str,
-    fit: Fit | None = None,
-    display: tuple[int, int, int, int] | None = None,
-    hold: int = 0,
-) -> Deformation:
-    """Return the deformation of a clip by a recipe: strokes with a time warp the clip, others each frame alike.
+def deformation_of(job: Job, clip: Clip) -> Deformation:
+    """Return the deformation of a clip by a job: strokes with a time warp the clip, others each frame alike.
 
-    Points are relative to the ``display`` window of the clip; ``hold`` is as in `ClipOptions`.
+    Points are relative to the display window of the clip.
     """
+    recipe, fit, time_scale, hold = job.recipe, job.fit, job.clip.time_scale, job.clip.hold
+    count, shape, name = clip.count, clip.layout.shape, clip.name
     known = recipe.time_scale if time_scale is None else length("time_scale", time_scale)
     worth = 1.0 if known is None else known
-    x, y, width, height = display or (0, 0, *shape[::-1])
+    x, y, width, height = clip.display or (0, 0, *shape[::-1])
     if not recipe.strokes or recipe.strokes[0].ndim == 2:
         made = fit_recipe(recipe, (width, height), fit, name)
         return Deformation.from_recipe(made.placed((x, y), shape[::-1]), Grid(shape, origin=(-x, -y)))
@@ -355,27 +346,18 @@ def parts_of(count: int, hold: int) -> tuple[float, ...]:
     return tuple(map(float, fade_of((count, 1, 1), hold).at([[0], [0], np.arange(count)]).ravel()))
 
 
-def deformations_of(
-    recipe: Recipe,
-    clip: Clip,
-    time_scale: float | None,
-    fit: Fit | None = None,
-    tell: Tell = lambda step, done, total: None,
-    *,
-    hold: int = 0,
-    bent: range | None = None,
-) -> tuple[Deformation, ...]:
-    """Return the deformations of a clip by a recipe: one, or one for each frame if its strokes move or fade.
+def deformations_of(job: Job, clip: Clip, tell: Tell, *, bent: range | None = None) -> tuple[Deformation, ...]:
+    """Return the deformations of a clip by a job: one, or one for each frame if its strokes move or fade.
 
-    ``hold`` is as in `ClipOptions`; deformations of frames that are not ``bent`` are not used, and arbitrary.
+    Deformations of frames that are not ``bent`` are not used, and arbitrary.
     """
-    count, shape, name = clip.count, clip.layout.shape, clip.name
+    recipe, hold, count, shape, name = job.recipe, job.clip.hold, clip.count, clip.layout.shape, clip.name
     if recipe.straighten is not None:
         raise SuppleError(f"straightening is for pictures, and {name} is a clip: leave it out")
     if not (recipe.moves or (hold and recipe.strokes and recipe.strokes[0].ndim == 2)):
-        return (deformation_of(recipe, count, shape, time_scale, name, fit, clip.display, hold),)
+        return (deformation_of(job, clip),)
     x, y, *size = clip.display or (0, 0, *shape[::-1])
-    fitted = fit_recipe(recipe, size, fit, name).placed((x, y), shape[::-1])
+    fitted = fit_recipe(recipe, size, job.fit, name).placed((x, y), shape[::-1])
     return motion_of(fitted, count, shape, tell, hold=hold, bent=bent)
 
 

@@ -11,9 +11,9 @@ from supple.errors import SuppleError, VolumeWarning, shown
 from supple.fields import Placed, check_path
 from supple.files.options import GridOptions, PathLike
 from supple.media.files import is_store
-from supple.media.medium import picture_grid
+from supple.media.medium import opened
 from supple.media.pictures import SUFFIXES
-from supple.media.suffixes import CLIPS, is_volume, suffix_of
+from supple.media.suffixes import suffix_of
 from supple.space.checks import refuse
 from supple.space.geometry import Geometry, Grid
 
@@ -52,37 +52,19 @@ def output_grid(options: GridOptions, grid: Grid) -> Grid:
 
 def reference_grid(path: PathLike, ndim: int) -> Grid:
     """Return the grid of a picture or of a volume; SuppleError if it has another number of axes than ``ndim``."""
-    if is_store(path):
-        return _stored_grid(path, ndim)
-    from supple.media import volume
-
-    solid = is_volume(path) or (ndim == 3 and volume.has_pages(path))
-    suffix = suffix_of(path)
-    if (solid != (ndim == 3) or suffix in CLIPS) and os.path.exists(path):
-        wanted = "volume" if ndim == 3 else "picture"
-        found = "a volume" if solid else "a clip" if suffix in CLIPS else "a picture"
-        if found == "a picture" and (os.path.isdir(path) or suffix not in SUFFIXES):
-            found = "no volume"
-        raise SuppleError(f"{shown(path)} is {found}, and the grid of a {wanted} is needed: name a {wanted}")
-    if ndim == 2:
-        return picture_grid(path)
-    outline = volume.outline_of(path)
-    warn_of_place(outline.geometry, shown(path))
-    return outline.grid
-
-
-def _stored_grid(path: PathLike, ndim: int) -> Grid:
-    """Return the grid of a Zarr store: of a volume in millimetres, of a picture in pixels."""
-    from supple.media.stores.image import open_image
-
-    image = open_image(path)
-    if len(image.spatial) != ndim:
-        found, wanted = ("a picture", "volume") if ndim == 3 else ("a volume", "picture")
-        raise SuppleError(f"{shown(path)} is {found}, and the grid of a {wanted} is needed: name a {wanted}")
-    if ndim == 2:
-        return Grid([image.shape[axis] for axis in image.spatial])
-    warn_of_place(Geometry(convention="LPS" if image.placed else "array"), shown(path))
-    return image.grid
+    medium, wanted = opened(path, axes=None if is_store(path) else ndim), "volume" if ndim == 3 else "picture"
+    found: str = medium.kind
+    if found == "store" and medium.grid is not None:
+        found = "volume" if medium.grid.ndim == 3 else "picture"
+    if found != wanted and (found == "clip" or medium.kind == "store" or os.path.exists(path)):
+        unknown = found == "picture" and medium.kind != "store" and suffix_of(path) not in SUFFIXES
+        told = "no volume" if unknown else f"a {found}"
+        raise SuppleError(f"{shown(path)} is {told}, and the grid of a {wanted} is needed: name a {wanted}")
+    if ndim == 3:
+        warn_of_place(medium.outline.geometry, shown(path))
+    grid = medium.grid
+    assert grid is not None
+    return grid
 
 
 def warn_of_place(geometry: Geometry, name: str) -> None:

@@ -2,30 +2,32 @@
 
 from __future__ import annotations
 
-import contextlib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 from supple.arrays import check_device
 from supple.deformation import Arrival, Deformation, Report
 from supple.engine.progress import counted, staged
 from supple.engine.sampling import DEFAULT, Sampling
-from supple.engine.work import Tell
+from supple.engine.work import Tell, silent
 from supple.errors import SuppleError, argument, shown
 from supple.fields import Placed
-from supple.files.options import ClipOptions, GridOptions, PathLike, VolumeOptions
-from supple.media.files import same_file
+from supple.files.options import ClipOptions, GridOptions, PathLike, Running, VolumeOptions
+from supple.media.files import is_store, same_file
 from supple.media.medium import Kind, Medium, opened
 from supple.space.checks import integer, refuse
 from supple.space.geometry import Geometry, Grid
 from supple.strokes import Fit, Recipe
 
+if TYPE_CHECKING:
+    from supple.files.transforms import SavedField
+
 # The modules that check and warp each kind of file; imported when needed, since readers take time to import.
-_MODULES = {"picture": "supple.files.pictures", "clip": "supple.files.clips", "volume": "supple.files.volumes"}
+_MODULES: dict[Kind, str] = {kind: f"supple.files.{kind}s" for kind in ("picture", "clip", "volume", "store")}
 _SEEN: tuple[Kind, ...] = ("picture", "clip")
 OPTIONS: dict[str, tuple[object, tuple[Kind, ...]]] = {
     "quality": (None, _SEEN),
@@ -34,7 +36,8 @@ OPTIONS: dict[str, tuple[object, tuple[Kind, ...]]] = {
     "linear_light": (False, _SEEN),
     "clamp": (None, ("picture", "volume")),
     "clip": (ClipOptions(), ("clip",)),
-    "volume": (VolumeOptions(), ("volume",)),
+    "volume": (VolumeOptions(), ("volume", "store")),
+    "running": (Running(), ("store",)),
 }
 """Options that apply only to some kinds of files: their defaults, and these kinds."""
 
@@ -48,7 +51,7 @@ class Job:
 
     source: PathLike
     target: PathLike
-    recipe: Recipe
+    recipe: Recipe = field(default_factory=Recipe)
     sampling: Sampling = DEFAULT
     outside: str | None = None
     clamp: bool | None = None
@@ -62,6 +65,7 @@ class Job:
     maps: Sequence[Placed] = ()
     grid: GridOptions | None = None
     compression: str | None = None
+    running: Running = field(default_factory=Running)
 
     def __post_init__(self) -> None:
         given: object = self.maps  # user input of any type
@@ -79,92 +83,72 @@ class Job:
     def medium(self) -> Medium:
         """The source with its kind."""
         axes = [*(each.ndim for each in self.recipe.strokes[:1]), *(each.map.ndim for each in self.maps[:1])]
-        axes += [self.grid.ndim or 2] if self.grid is not None else []
-        known, shot = self.volume, self.clip
+        axes += [self.grid.ndim] if self.grid is not None and self.grid.ndim is not None else []
+        shot = self.clip
         moves = self.recipe.moves or any(each.ndim == 3 for each in self.recipe.strokes[:1])
         moves |= shot.hold != 0 or shot.frame is not None or shot.frames is not None
         return opened(
             self.source,
             self.target,
-            axes=max(axes, default=2),
+            axes=max(axes, default=None),
             moves=moves,
-            layout=known.layout,
-            series=known.series,
-            irregular=known.irregular,
+            how=self.volume.how,
         )
 
-    def check(self) -> Medium:
-        """Raise all errors that can be found before the source is read; return the source with its kind."""
+    def check_options(self) -> None:
+        """Raise SuppleError for options that the kind of file does not have."""
         medium = self.medium
-        if medium.kind != "volume":
+        name = medium.name if medium.kind != "store" or is_store(self.source) else shown(self.target)
+        noun = "Zarr store" if medium.kind == "store" else medium.kind
+        if medium.kind not in ("volume", "store"):
             refuse_places(self.recipe, self.source)
         for option, (usual, kinds) in OPTIONS.items():
             value = getattr(self, option)
             if medium.kind not in kinds and value != usual:
-                where = " and ".join(f"{kind}s" for kind in kinds)
-                raise SuppleError(
-                    f"{asked(option, value)} is for {where}, and {medium.name} is a {medium.kind}: leave it out"
-                )
+                where = " and ".join(f"{kind}s" for kind in kinds if kind != "store") or "Zarr stores"
+                raise SuppleError(f"{asked(option, value)} is for {where}, and {name} is a {noun}: leave it out")
         if self.grid is not None and self.grid.strokes and medium.kind != "volume":
-            raise SuppleError(f"{argument('fixed')} is for volumes, and {medium.name} is a {medium.kind}: leave it out")
+            raise SuppleError(f"{argument('fixed')} is for volumes, and {name} is a {noun}: leave it out")
         if medium.kind != "picture" and self.recipe.straighten is not None:
-            raise SuppleError(f"straightening is for pictures, and {medium.name} is a {medium.kind}: leave it out")
+            raise SuppleError(f"straightening is for pictures, and {name} is a {noun}: leave it out")
         if medium.kind == "picture" and self.recipe.moves:
             moving = "strokes with keys move" if any(each.keys for each in self.recipe.strokes) else "the matte moves"
             raise SuppleError(
                 f"{medium.name} is taken for a picture, and {moving} from frame to frame: give a clip, or what is of "
                 "one frame"
             )
+
+    def check(self) -> Medium:
+        """Raise all errors that can be found before the source is read; return the source with its kind."""
+        medium = self.medium
+        self.check_options()
         if not self.force and same_file(self.source, self.target) and not Path(self.source).is_dir():
             name, instead = shown(self.target), argument("force", True)
             raise SuppleError(f"{name} is the {medium.kind} itself: choose another name, or {instead}")
         import_module(_MODULES[medium.kind]).check(self)
-        check_device(self.device, "clips" if medium.kind == "clip" else "")
+        check_device(self.device, f"{medium.kind}s" if medium.kind in ("clip", "store") else "")
         return medium
 
-    def warp(self, progress: bool | Callable[[str], None] = False, tell: Tell | None = None) -> Warped:
+    def warp(self, progress: bool | Callable[[str], None] = False, tell: Tell = silent) -> Warped:
         """Warp the file; parameters as in `supple.files.warp_file`."""
         kind = self.check().kind
-        with self._counts(kind, progress, tell) as counts:
-            made: Warped = import_module(_MODULES[kind]).warp(self, counts)
-        return made
-
-    @contextlib.contextmanager
-    def _counts(self, kind: Kind, progress: bool | Callable[[str], None], tell: Tell | None) -> Iterator[Tell]:
         if kind == "picture" and not callable(progress):
             shows = staged(self.source, progress)
         else:
-            shows = counted(progress, "slices" if kind == "volume" else "frames")
+            shows = counted(progress, {"volume": "slices", "store": "blocks"}.get(kind, "frames"))
         with shows as show:
 
             def both(step: str, done: int, total: int) -> None:
                 show(step, done, total)
-                if tell is not None:
-                    tell(step, done, total)
+                tell(step, done, total)
 
-            yield both
-
-
-def job_of(
-    source: PathLike,
-    target: PathLike,
-    recipe: Recipe,
-    *,
-    options: VolumeOptions | None = None,
-    filter: str = "auto",
-    tolerance: float = 0.01,
-    outside: str | None = None,
-    fill: float | Sequence[float] = 0.0,
-    **given: Any,
-) -> Job:
-    """Return a job on a volume or a store; ``options`` are those of volumes, ``given`` other parameters of `Job`."""
-    sampling = Sampling(filter, tolerance, outside or "edge", fill)
-    return Job(source, target, recipe, sampling, outside, volume=options or VolumeOptions(), **given)
+            made: Warped = import_module(_MODULES[kind]).warp(self, both)
+        return made
 
 
 def asked(name: str, value: object) -> str:
     """Return an option as the user writes it; of a group such as `ClipOptions`, the first that is not its default."""
-    if not isinstance(value, ClipOptions | VolumeOptions):
+    if not isinstance(value, ClipOptions | VolumeOptions | Running):
         return argument(name, value) if isinstance(value, bool) else argument(name)
     usual = type(value)()
     return argument(next(each.name for each in fields(value) if getattr(value, each.name) != getattr(usual, each.name)))
@@ -184,10 +168,10 @@ class Warped:
 
     Parameters
     ----------
-    source, target : pathlib.Path
-        The input and the output file.
+    source, target : pathlib.Path or str
+        The input and the output file; for a store, their addresses.
     kind : str
-        ``"picture"``, ``"clip"`` or ``"volume"``.
+        ``"picture"``, ``"clip"``, ``"volume"`` or ``"store"``.
     deformations : tuple of Deformation
         The strokes on the grid of the input, or on the upright grid around a sheared volume (`Grid.upright`). For a
         clip without strokes in time, on the grid of a frame; if strokes move from frame to frame, one for each frame.
@@ -199,7 +183,7 @@ class Warped:
         The number of frames of a clip, or of the volumes of a series.
     still, copied, held : int
         For a clip, the numbers of unchanged frames; of frames whose packets or files were copied instead of encoded
-        again; and of frames in memory at once.
+        again; and of frames in memory at once. For a store, ``copied`` blocks are those whose compressed chunks were.
     geometry : Geometry, optional
         The geometry of a volume.
     grid : Grid, optional
@@ -213,10 +197,21 @@ class Warped:
         The interpolation between frames; empty if no sample lies between frames.
     background : float, optional
         The scaled fill value outside a volume, if it was chosen automatically.
+    shape : tuple of int
+        The shape of a store along all axes; this and the next are of stores alone.
+    levels, blocks, done : int
+        The number of levels; of blocks of the finest one; and of those that an interrupted job had already written.
+    labels : tuple of str
+        The names of the label images that were warped with it.
+    read, copied_bytes : int
+        The decoded bytes that were read, without copies, where a chunk counts as often as it was read; and the
+        compressed bytes of the copied chunks.
+    field : SavedField, optional
+        The map that was saved with it.
     """
 
-    source: Path
-    target: Path
+    source: Path | str
+    target: Path | str
     kind: Kind
     deformations: tuple[Deformation, ...]
     tolerance: float
@@ -233,6 +228,14 @@ class Warped:
     unsolved: int = 0
     between: str = ""
     background: float | None = None
+    shape: tuple[int, ...] = ()
+    levels: int = 0
+    labels: tuple[str, ...] = ()
+    blocks: int = 0
+    done: int = 0
+    read: int = 0
+    copied_bytes: int = 0
+    field: SavedField | None = None
 
     @property
     def deformation(self) -> Deformation:

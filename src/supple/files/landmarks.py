@@ -21,7 +21,7 @@ from supple.media.volume import read as read_volume
 from supple.media.volume.dicom import frame_of_reference
 from supple.space.checks import choice
 from supple.space.geometry import Floats, Geometry, Grid
-from supple.strokes import REACH, CoordinateSpace, Stroke
+from supple.strokes import CoordinateSpace, Stroke
 
 _Way = Callable[[Floats], Floats]
 _ROUNDED = 2.0**-50  # the relative rounding error of a coordinate from millimetres to voxels and back
@@ -238,13 +238,10 @@ def read_pull(
     source: PathLike,
     target: PathLike,
     *,
-    radius: float,
-    poisson: float | None = None,
-    reach: float | None = REACH,
-    time_radius: float | None = None,
     convention: str | None = None,
     place: str | None = None,
     world: bool = False,
+    **brush: Any,
 ) -> tuple[Stroke, CoordinateSpace | None]:
     """Return a stroke that pulls the points of a file to those of another, and its space if it is in millimetres.
 
@@ -252,6 +249,7 @@ def read_pull(
     equal in both is a pin. If one file is in LPS and the other in RAS, the stroke is in the space of the first.
     ``convention`` applies to files without their own; ``place`` is the convention of the volume's `Geometry`, None for
     images and clips. With ``world``, all strokes are in millimetres: a table without a convention is an error.
+    ``brush`` are options of `supple.Stroke.pull`.
     """
     start, end = read_points(source), read_points(target)
     if start.points.shape[1] != end.points.shape[1]:
@@ -284,7 +282,6 @@ def read_pull(
         raise SuppleError(
             f"{start.name} has {len(start.points)} points, and {end.name} has {len(end.points)}: give as many in both"
         )
-    brush: Any = {"radius": radius, "poisson": poisson, "reach": reach, "time_radius": time_radius}
     stroke = Stroke.pull(start.points, to=places[order], **brush)
     stroke = replace(stroke, name=f"{start.name}:{end.name}")
     return stroke, None if space == "index" else space  # type: ignore[return-value]

@@ -10,11 +10,15 @@ from typing import Any
 
 import numpy as np
 
-from supple.engine.work import Array
+from supple.engine.work import Array, Tell
 from supple.errors import SuppleError, argument, shown
-from supple.fields import Field, Map, Placed, own_grid, read_maps, told
+from supple.fields import Field, Map, Placed, own_grid, read_maps, told, write_maps
+from supple.files.grids import reference_grid
+from supple.files.jobs import Job
+from supple.files.transforms import displacement_of
+from supple.files.volumes import deformation_of, moved
 from supple.media import transforms, volume
-from supple.media.files import PathLike, unwritable
+from supple.media.files import PathLike, check_output, unwritable
 from supple.media.medium import picture_grid
 from supple.media.objects import held
 from supple.media.volume import is_volume, suffix_of
@@ -225,3 +229,36 @@ def _facts_of(maps: Sequence[Map]) -> list[dict[str, Any]]:
         head = {"kind": "field", "interpolation": each.interpolation, "size": list(grid.sizes)}
         made.append({**head, **place, "units": units[0], "space": units[1]})
     return made
+
+
+def write_map(job: Job, to: str | None = None, *, tell: Tell = lambda step, done, total: None) -> MapFile:
+    """Write one field from each point of the output to its source point in a volume, through strokes and maps.
+
+    Parameters
+    ----------
+    job : Job
+        Of these: ``source``, a volume, in a registration the moving one, of which the header alone is read; ``target``,
+        the field; ``recipe``, whose strokes come after the maps, and are on the grid of the field; ``maps``; ``grid``,
+        whose reference has the grid of the field, by default that of the volume; ``volume`` and ``force``.
+    to : str, optional
+        The convention, as in `Field.write`; by default, that of the suffix of the target.
+
+    Raises
+    ------
+    SuppleError
+        If a file cannot be read or written, or the convention does not hold such a field.
+    """
+    convention, how = convention_out(job.target, to, None)
+    check_output(job.target, force=job.force)
+    tell("read", 0, 1)
+    on = outline = volume.outline_of(job.source, **job.volume.how)
+    if job.grid is not None and job.grid.reference is not None:
+        on = moved(outline, reference_grid(job.grid.reference, 3), job.grid)
+    deformation = deformation_of(job, on)
+    own = deformation.grid
+    check_written(job.target, 3, convention, own, source=outline.grid, reference=own)
+    tell("plan", 0, 1)
+    made = Field(displacement_of(deformation, own.geometry("LPS")), own)
+    tell("write", 0, 1)
+    write_maps(job.target, (made,), convention, source=outline.grid, reference=own, force=job.force)
+    return MapFile(Path(job.target), convention, how, (made,), written=True)

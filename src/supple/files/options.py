@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from supple.errors import SuppleError
 from supple.media.files import PathLike as PathLike
@@ -100,6 +100,34 @@ class VolumeOptions:
     def __post_init__(self) -> None:
         if not isinstance(self.labels, bool) and self.labels not in ("nearest", "smooth"):
             refuse("labels", '"nearest" or "smooth", or a flag', self.labels)
+
+    @property
+    def how(self) -> dict[str, Any]:
+        """The options that are given for `supple.media.volume.read`."""
+        given = {"raw": self.layout, "series": self.series, "irregular": self.irregular}
+        return {name: value for name, value in given.items() if value is not None}
+
+
+@dataclass(frozen=True, slots=True)
+class Running:
+    """Where the tasks of a job run, in one of two ways; by default, on threads of this process."""
+
+    workers: int | None = None  # the number of processes on this machine
+    scheduler: str | None = None  # the address of that of a cluster of Dask, such as ``tcp://node1:8786``
+
+    def __post_init__(self) -> None:
+        given: object = self.workers  # user input of any type
+        if given is not None and (not isinstance(given, int) or isinstance(given, bool) or given < 1):
+            refuse("workers", "a number of processes from 1", given)
+        if self.workers is not None and self.scheduler is not None:
+            raise SuppleError(
+                "workers starts processes on this machine, and scheduler uses a cluster: give one of them"
+            )
+
+    @property
+    def elsewhere(self) -> bool:
+        """True if tasks run in other processes."""
+        return self.workers is not None or self.scheduler is not None
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from zlib import crc32
 
 from supple.errors import SuppleError, argument, listing, shown
-from supple.media.files import PathLike, is_store
+from supple.media.files import PathLike
 from supple.strokes import Stroke
 
 if TYPE_CHECKING:
@@ -74,8 +74,6 @@ class Places:
             return length
         if self.medium is None:
             return 1e6
-        if is_store(self.medium.path):
-            raise SuppleError(f"{self.medium.name} is a Zarr store, of which there are no percentages: give a length")
         if self.medium.kind == "clip":
             from supple.files.clips import open_clip
 

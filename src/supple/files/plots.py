@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,17 +16,16 @@ from supple.engine.sampling import Sampling
 from supple.engine.stream import make_plan
 from supple.engine.work import Array
 from supple.errors import SuppleError, argument, shown
-from supple.fields import Placed
 from supple.files import clips
 from supple.files.grids import grid_on
 from supple.files.jobs import Job, refuse_places
-from supple.files.options import ClipOptions, GridOptions, PathLike, VolumeOptions
+from supple.files.options import ClipOptions
 from supple.media.files import check_output
 from supple.plot import WHATS, draw_sheet, draw_slice, plot
 from supple.plot.clip import evenly
 from supple.plot.frame import check_plot
 from supple.space.checks import choice, integer
-from supple.strokes import Fit, Recipe, fit_recipe
+from supple.strokes import fit_recipe
 
 Colours = npt.NDArray[np.uint8]
 
@@ -34,33 +34,22 @@ _SEEN = 0.5  # pixels and frames: the smallest displacement that counts as visib
 
 
 def plot_file(
-    source: PathLike,
-    target: PathLike,
-    recipe: Recipe,
+    job: Job,
     what: str = "grid",
     *,
     frame: int | None = None,
     x: int | None = None,
     y: int | None = None,
-    clip: ClipOptions | None = None,
-    force: bool = False,
     progress: bool = False,
-    fit: Fit | None = None,
-    maps: Sequence[Placed] = (),
-    volume: VolumeOptions | None = None,
     plane: str | None = None,
-    reference: PathLike | None = None,
 ) -> Deformation:
     """Plot the effect of strokes, fields and affine maps on a file.
 
     Parameters
     ----------
-    source : str or os.PathLike
-        An image, a video, a pattern or a folder of frames, or a volume.
-    target : str or os.PathLike
-        A PNG, SVG or PDF file.
-    recipe : Recipe
-        The strokes.
+    job : Job
+        Of these: ``source``, an image, a video, a pattern or a folder of frames, or a volume; ``target``, a PNG, SVG or
+        PDF file; ``recipe``, ``maps`` and ``grid``, that of another volume; ``clip``, ``volume``, ``fit``, ``force``.
     what : str
         One of `supple.plot.WHATS`; for a clip also ``"slice"``, a column or a row over time, and ``"sheet"``, some
         frames before and after the warp, from the range with displacements of at least half a pixel.
@@ -68,20 +57,10 @@ def plot_file(
         The frame of a clip to plot.
     x, y : int, optional
         The column, or row, of a slice.
-    clip : ClipOptions, optional
-        Options for clips.
-    force : bool
-        Whether an existing file may be replaced.
     progress : bool
         Whether to show the progress of a clip on a terminal.
-    fit, maps
-        As in `supple.warp_file`.
-    volume : VolumeOptions, optional
-        Options for reading a volume.
     plane : str, optional
         The plane of a volume, as in `supple.plot.volume.draw_volume`.
-    reference : str or os.PathLike, optional
-        Another volume, on whose grid the output is.
 
     Returns
     -------
@@ -93,21 +72,19 @@ def plot_file(
     SuppleError
         If the source cannot be read, plotted or written.
     """
+    source, target, recipe, options, maps, force = job.source, job.target, job.recipe, job.clip, job.maps, job.force
     choice("what", what, (*WHATS, "slice", "sheet"))
-    options = clip or ClipOptions()
     clips.refuse_encoding(options, target, "a plot")
     if what != "slice" and (x is not None or y is not None):
         text = f"{argument('x')} and {argument('y')} are for slices, and {what} shows whole frames: leave them out"
         raise SuppleError(text)
     check_output(target, force=force)
     check_plot(target, force=force)
-    grid = None if reference is None else GridOptions(reference)
-    job = Job(source, "", recipe, maps=maps, volume=volume or VolumeOptions(), grid=grid, fit=fit)
-    if (kind := job.medium.kind) == "volume":
+    if (kind := replace(job, target="").medium.kind) in ("volume", "store"):  # of which the latter cannot be read whole
         if frame is not None or options != ClipOptions(memory=options.memory):
             raise SuppleError(f"{shown(source)} is a volume, which has no frames: leave out what is for videos")
-        return _plot_volume(job, target, what, plane, force)
-    for name, value in (("plane", plane), ("reference", reference if kind == "clip" else None)):
+        return _plot_volume(job, what, plane)
+    for name, value in (("plane", plane), ("reference", job.grid if kind == "clip" else None)):
         if value is not None:
             raise SuppleError(f"{argument(name)} is for volumes, and {shown(source)} is none: leave it out")
     refuse_places(recipe, source)
@@ -115,7 +92,7 @@ def plot_file(
     def once(count: int | None) -> Deformation:
         with clips.open_clip(source, rate=options.rate, count=count) as clip:
             height, width = clip.layout.shape
-            deformations = clips.deformations_of(recipe, clip, options.time_scale, fit, tell)
+            deformations = clips.deformations_of(job, clip, tell)
             deformation = deformations[0]
             if count is None:
                 clips.warn_of_frames(clip, deformations)
@@ -170,13 +147,13 @@ def plot_file(
         raise SuppleError("plots are of strokes and maps, on the picture as it is: leave straightening out")
     picture = read(source)
     height, width = picture.pixels.shape[:2]
-    fitted = fit_recipe(recipe, (width, height), fit, shown(source))
+    fitted = fit_recipe(recipe, (width, height), job.fit, shown(source))
     deformation = Deformation.from_recipe(fitted, (height, width), maps=maps)
     plot(deformation, what, target, image=picture, force=force)
     return deformation
 
 
-def _plot_volume(job: Job, target: PathLike, what: str, plane: str | None, force: bool) -> Deformation:
+def _plot_volume(job: Job, what: str, plane: str | None) -> Deformation:
     """Plot a deformation on a plane of a volume; for a series, of its first volume."""
     from supple.files.volumes import deformation_of, is_of_labels, open_volume
     from supple.plot import volume as drawn
@@ -186,11 +163,11 @@ def _plot_volume(job: Job, target: PathLike, what: str, plane: str | None, force
         raise SuppleError(f"{what} is for pictures and videos, and {shown(job.source)} is a volume: draw {kinds}")
     volume = open_volume(job.source, job.volume)
     out = grid_on(job.grid, volume.grid, volume.name, job.maps)
-    deformation = deformation_of(job.recipe, volume, world=job.volume.world, fit=job.fit, maps=job.maps)
+    deformation = deformation_of(job, volume)
     labels, samples = volume.is_segmentation or is_of_labels(volume), volume.rescaled()
     drawn.draw_volume(
-        deformation, what, samples[0] if volume.series else samples, volume.grid, target,
-        out=out, plane=plane, labels=labels, name=Path(job.source).name, force=force,
+        deformation, what, samples[0] if volume.series else samples, volume.grid, job.target,
+        out=out, plane=plane, labels=labels, name=Path(job.source).name, force=job.force,
     )  # fmt: skip
     return deformation
 

@@ -1,4 +1,4 @@
-"""Rendering volume files as images and turntables."""
+"""Rendering volume files as images and turntables, with meshes and contours from files."""
 
 from __future__ import annotations
 
@@ -16,15 +16,16 @@ import numpy.typing as npt
 from supple.arrays import warp_array
 from supple.engine.sampling import Sampling, warn_of
 from supple.engine.work import Array, Tell
-from supple.errors import SuppleError, VolumeWarning, argument, shown
-from supple.fields import Placed
+from supple.errors import OutsideWarning, SuppleError, VolumeWarning, argument, shown
 from supple.files.grids import grid_on
-from supple.files.meshes import MeshFile, read_surfaces
-from supple.files.options import GridOptions, VolumeOptions
+from supple.files.jobs import Job
+from supple.files.landmarks import convention_of, warn_of_frame
 from supple.files.volumes import background_of, deformation_of, is_of_labels, open_volume
 from supple.media import image, pictures, turntable
 from supple.media.files import PathLike, check_output, check_outputs, check_suffix, replacing, replacing_all
+from supple.media.meshes import KINDS
 from supple.media.numbering import has_number, spelling
+from supple.media.points import read_points
 from supple.media.volume import Volume
 from supple.render.appearance import cropped, fixed, is_hounsfield, largest, without_table
 from supple.render.box import Clip, Plane
@@ -36,7 +37,6 @@ from supple.render.scene import Scene, check_options
 from supple.render.transfer import HOUNSFIELD, LABELS, SUFFIXES, Transfer, transfer_of
 from supple.space.checks import choice, integer, number, point
 from supple.space.geometry import check_upright
-from supple.strokes import Fit, Recipe
 
 WHATS = ("picture", "inversions")
 _OF_SCENE = ("density", "clip", "plane", "projection", "silhouettes", "shadows", "step", "shaded", "device")
@@ -44,6 +44,23 @@ _TABLE = ".ctbl"
 _LABEL_INTENT = 1002  # NIFTI_INTENT_LABEL
 _RATE = 24.0  # pictures a second
 LIGHTLESS = (".png", ".tif", ".tiff", ".webp", ".avif")  # formats with opacity, whose background may be transparent
+Colour = tuple[float, float, float]
+COLOURS = (
+    (0.31, 0.66, 0.87), (0.95, 0.76, 0.31), (0.42, 0.75, 0.41), (0.82, 0.42, 0.65), (0.94, 0.54, 0.29),
+    (0.56, 0.49, 0.76),
+)  # fmt: skip
+"""sRGB colours for meshes without a colour, used in turn."""
+_FARTHEST = 1e7  # voxels
+
+
+@dataclass(frozen=True, slots=True)
+class MeshFile:
+    """A mesh or contours in a file, and their colour."""
+
+    path: PathLike  # .stl, .obj, .ply, .vtk (PolyData), .vtp; or a structure set of DICOM, .dcm
+    colour: Colour | None = (
+        None  # sRGB from 0 to 1; by default, that of each region of a structure set, or of `COLOURS`
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,7 +83,7 @@ class RenderOptions:
     meshes : sequence of MeshFile
         Meshes and contours that are rendered with the volume, and move with it.
     convention : str, optional
-        The convention of meshes without their own, as in `supple.files.meshes.read_surfaces`.
+        The convention of meshes without their own, as in `read_surfaces`.
     table : bool
         Whether CT presets also show parts apart from the body: see `supple.render.appearance.without_table`.
     largest : bool
@@ -159,6 +176,41 @@ class RenderOptions:
                     raise SuppleError(f"inversions are drawn as one plot, of the volume alone: leave {name} out")
 
 
+def read_surfaces(given: Sequence[MeshFile], volume: Volume, convention: str | None = None) -> tuple[Surface, ...]:
+    """Return the surfaces and contours of files, in voxels of a volume.
+
+    ``convention`` is that of files without their own: ``"LPS"`` or ``"RAS"`` in millimetres, or ``"index"``.
+    SuppleError if a file cannot be read, has neither faces nor lines, or cannot be placed in the volume; OutsideWarning
+    if none of a file's points lies in it.
+    """
+    if convention is not None:
+        choice("convention", convention, ("LPS", "RAS", "index"))
+    made: list[Surface] = []
+    for each in given:
+        advice = f"give a mesh or contours: {', '.join(KINDS)}"
+        check_suffix(each.path, os.path.splitext(each.path)[1], KINDS, "is of no mesh", advice, "read")
+        read = read_points(each.path, mesh=True)
+        warn_of_frame(each.path, volume)
+        known = convention_of(read, convention if read.told == "mesh" else None, volume.geometry.convention)
+        points = read.points if known == "index" else volume.geometry.from_world(read.points, known)
+        parts = read.parts()
+        if len(points) and np.abs(points).max() > _FARTHEST:
+            text = f"{read.name} has a vertex {np.abs(points).max():.2g} voxels away: give a whole copy of it"
+            raise SuppleError(text)
+        if ((points < -0.5) | (points > np.array(volume.sizes) - 0.5)).any(axis=1).all():
+            text = f"no point of {read.name} lies in {volume.name}"
+            warnings.warn(f"{text}: see whether its coordinates are of that volume", OutsideWarning, stacklevel=4)
+        for part in parts:
+            colour = each.colour or part.colour or COLOURS[len(made) % len(COLOURS)]
+            used = np.zeros(len(points), np.bool_)  # points of no face or line are invisible
+            for corners in (part.triangles, part.lines):
+                used[corners] = True
+            order = np.cumsum(used) - 1
+            if used.any():
+                made.append(Surface(points[used], order[part.triangles], order[part.lines], colour))
+    return tuple(made)
+
+
 def default_transfer(volume: Volume) -> Transfer | str:
     """Return the preset for a volume's values, or the colours of its segments.
 
@@ -191,22 +243,12 @@ def _is_of_labels(volume: Volume) -> bool:
     return is_of_labels(volume) and volume.samples.min() >= 0 and volume.scaling == (1.0, 0.0)
 
 
-def scene_of(
-    volume: Volume,
-    recipe: Recipe | None = None,
-    options: RenderOptions | None = None,
-    *,
-    world: bool = False,
-    fit: Fit | None = None,
-    maps: Sequence[Placed] = (),
-    reference: PathLike | None = None,
-) -> Scene:
-    """Return the scene of a volume, with strokes if given. With maps, the volume itself is warped first.
+def scene_of(volume: Volume, job: Job, known: RenderOptions) -> Scene:
+    """Return the scene of the volume of a job, with its strokes. With maps, the volume itself is warped first.
 
-    With a ``reference``, the warped volume is on its grid. SuppleError if the volume has several components that are
-    not colours, or an argument does not fit.
+    With a reference, the warped volume is on its grid. SuppleError if the volume has several components that are not
+    colours, or an argument does not fit.
     """
-    known = options or RenderOptions()
     samples = volume.rescaled()
     if volume.series:
         last = len(samples) - 1
@@ -221,7 +263,7 @@ def scene_of(
         held = f"{samples.shape[3]} components of {samples.dtype}"
         text = f"{volume.name} has {held}, and pictures are of one value or of colours, RGB or RGBA in uint8, uint16 or"
         raise SuppleError(f"{text} floats from 0 to 1: take one component out of it")
-    grid = None if reference is None else grid_on(GridOptions(reference), volume.grid, volume.name, maps)
+    maps, grid = job.maps, grid_on(job.grid, volume.grid, volume.name, job.maps) if job.grid is not None else None
     geometry = volume.geometry if grid is None else grid.geometry("LPS")
     aim, shown_sizes = known.camera.target, volume.sizes if grid is None else grid.sizes
     if aim is not None and not all(-0.5 <= x <= n - 0.5 for x, n in zip(aim, shown_sizes, strict=True)):
@@ -229,8 +271,8 @@ def scene_of(
         text = f"{argument('target')} must be a voxel of {volume.name}, from (0, 0, 0) to ({end}), found ({spoken})"
         raise SuppleError(text)
     deformation = None
-    if recipe is not None or maps or grid is not None:
-        deformation = deformation_of(recipe or Recipe(), volume, world=world, fit=fit, maps=maps)
+    if job.recipe.strokes or maps or grid is not None:
+        deformation = deformation_of(job, volume)
     warped = bool(maps) or grid is not None
     if warped and known.mode != "buffered":
         raise SuppleError(f"with fields and affine maps, the volume is warped first: leave mode {known.mode} out")
@@ -304,39 +346,19 @@ def _saved(scene: Scene, path: PathLike, name: str) -> str:
 
 
 def render_file(
-    source: PathLike,
-    target: PathLike,
-    recipe: Recipe | None = None,
-    *,
-    options: RenderOptions | None = None,
-    volume: VolumeOptions | None = None,
-    force: bool = False,
-    tell: Tell = lambda step, done, total: None,
-    fit: Fit | None = None,
-    maps: Sequence[Placed] = (),
-    reference: PathLike | None = None,
+    job: Job, options: RenderOptions | None = None, *, tell: Tell = lambda step, done, total: None
 ) -> Scene:
     """Render an image or a turntable of a volume file.
 
     Parameters
     ----------
-    source : str or os.PathLike
-        A volume, as in `supple.warp_file`.
-    target : str or os.PathLike
-        An image; for a turntable, a video (MP4, MOV, MKV, WebM, GIF), or a name with a number in it, such as
-        ``%03d.png``.
-    recipe : Recipe, optional
-        Strokes that warp the volume.
-    options, volume
-        Options for rendering, and for reading.
-    force : bool
-        Whether to replace an existing file.
+    job : Job
+        Of these: ``source``, a volume; ``target``, an image; or for a turntable a video (MP4, MOV, MKV, WebM, GIF), or
+        a name with a number in it, such as ``%03d.png``; ``recipe``, ``maps`` and ``grid``, a reference alone, to warp
+        the volume; ``volume``, ``fit``, ``force``. With maps, the volume is warped before it is rendered, by the CPU.
+    options : RenderOptions, optional
     tell : function
         Called with ``"render"``, the finished and the total amount of work.
-    fit, maps
-        As in `supple.warp_file`. With maps, the volume is warped before it is rendered, by the CPU.
-    reference : str or os.PathLike, optional
-        Another volume, to whose grid it is warped.
 
     Returns
     -------
@@ -348,7 +370,7 @@ def render_file(
         If the source cannot be read, the target cannot be written (checked before any work if possible), or an argument
         does not fit.
     """
-    known, reading = options or RenderOptions(), volume or VolumeOptions()
+    known, source, target, force = options or RenderOptions(), job.source, job.target, job.force
     suffix = Path(target).suffix.lower()
     count = known.turntable or 0
     _check_target(target, suffix, known, force)
@@ -362,9 +384,9 @@ def render_file(
             except SuppleError:  # for instance a recipe
                 told = f"{shown(saved)} is there, and no transfer function"
                 raise SuppleError(f"{told}: it is not replaced; give another name") from None
-    given = open_volume(source, reading)
+    given = open_volume(source, job.volume)
     check_upright(given.geometry, given.name, "a rendering")
-    scene = scene_of(given, recipe, known, world=reading.world, fit=fit, maps=maps, reference=reference)
+    scene = scene_of(given, job, known)
     if scene.is_empty:
         low, high = scene.range
         text = f"nothing is seen of {given.name}: its values go from {low:g} to {high:g}, and the transfer function,"
@@ -411,7 +433,7 @@ def render_file(
             if known.what == "inversions":
                 from supple.plot.draw import draw_inversions
 
-                inverted = recipe is not None and known.mode == "exact"
+                inverted = job.recipe.strokes and known.mode == "exact"
                 draw_inversions(picture.samples, target, what="inversions" if inverted else "samples", force=force)
             else:
                 behind = known.background if suffix in LIGHTLESS else known.background or (0.0, 0.0, 0.0)

@@ -1,4 +1,7 @@
-"""Warping Zarr stores block by block: arrays larger than memory, on threads, processes or a cluster."""
+"""Warping Zarr stores block by block: arrays larger than memory, on threads, processes or a cluster.
+
+The plan of a warp is computed from the input's header: its blocks, copies, bytes and memory.
+"""
 
 from __future__ import annotations
 
@@ -8,69 +11,46 @@ import itertools
 import math
 import os
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 
+from supple._core import threads
 from supple.blocks import Block, Box, Warp, boxes_of, chunks_of
-from supple.deformation import Deformation, Report
+from supple.deformation import Deformation
 from supple.engine.sampling import Certificate, Sampling, warn_of
-from supple.engine.work import Tell
-from supple.errors import SuppleError, VolumeWarning, shown
+from supple.engine.work import Tell, work_of
+from supple.errors import SuppleError, VolumeWarning, argument, shown
 from supple.fields import Field, Placed, folds_of, only_name
-from supple.files import plans
-from supple.files.jobs import Job, job_of
-from supple.files.options import VolumeOptions
-from supple.files.plans import Source, open_source, planned, task_shape, warp_on, whole_chunks
-from supple.files.tasks import Runner, Running, advancing, check_seen, check_shared, runner_of
-from supple.files.transforms import SavedField, begin_field, check_field, is_scene, write_field, write_transform
-from supple.files.volumes import least_of, warn_of_labels
+from supple.files.grids import grid_on
+from supple.files.jobs import Job, Warped
+from supple.files.options import Running, VolumeOptions
+from supple.files.tasks import Runner, advancing, check_seen, check_shared, runner_of
+from supple.files.transforms import SavedField, begin_field, check_field, write_field, write_transform
+from supple.files.volumes import deformation_of, filtered, least_of, warn_of_labels
 from supple.media.files import ROOTS, PathLike, check_store, is_store, replacing, unwritable
 from supple.media.stores.image import LABELS, StoredImage
+from supple.media.stores.inputs import Source, grow
 from supple.media.stores.levels import Mode
 from supple.media.stores.places import Place
 from supple.media.stores.target import Target, create, holding
 from supple.media.transforms.ngff import Placement
-from supple.space.geometry import Geometry, Grid
-from supple.strokes import Recipe
+from supple.space.geometry import Grid
+from supple.strokes import fit_recipe
 
 Numbers = tuple[float, ...]
 
 _SIDE = 64  # voxels on a side of the part in which labels are detected
 _AT_ONCE = 4096  # tasks in the queue; each takes a few kilobytes
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class WarpedStore:
-    """The result of a warp to a Zarr store."""
-
-    source: str
-    target: str
-    deformation: Deformation  # the strokes, on the axes of space
-    geometry: Geometry | None  # of a volume; None for a picture
-    tolerance: float  # the largest distance of a source point from T⁻¹(q), in samples
-    error: float  # the error estimate from the checks of the map
-    shape: tuple[int, ...]  # of the output, all axes
-    levels: int
-    labels: tuple[str, ...]  # names of the label images that were warped with it
-    blocks: int  # of the finest level
-    done: int  # blocks that an interrupted job had already written
-    copied: int  # blocks whose compressed chunks were copied
-    read: int  # decoded bytes that were read, without copies; a chunk counts as often as it was read
-    copied_bytes: int  # compressed bytes of the copied chunks
-    grid: Grid | None = None  # of the output, if it is not that of the input
-    folded: int = 0  # as in `supple.files.Warped`
-    outside: int = 0
-    unsolved: int = 0
-    field: SavedField | None = None  # the map that was saved with it
-    background: float | None = None  # the scaled fill value outside the input, if it was chosen automatically
-
-    def report(self) -> Report:
-        """Return the report on the strokes and the certified error, measured at every sample; this is slow."""
-        return self.deformation.report(tolerance=self.tolerance, grid=self.grid)
+TASK = 1 << 25
+"""The size in bytes of a task's block, where chunks are smaller."""
+_TURNS = 4  # the fewest tasks for each thread, so that none idles long at the end
+_PORTION = 1024  # blocks that are planned at a time, before they are written
+PLANNED = "planned.zarr"
+"""The output of a plan, which is not written."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -85,57 +65,29 @@ class Work:
     warp: Warp
 
 
-def warp_store(
-    source: PathLike,
-    target: PathLike,
-    recipe: Recipe,
-    *,
-    running: Running | None = None,
-    tell: Tell = lambda step, done, total: None,
-    **given: Any,
-) -> WarpedStore:
-    """Warp a Zarr array, an OME-Zarr image, a volume or a picture to a Zarr store, block by block.
-
-    For a store, the output has its format: chunks, shards, codecs, levels and metadata. For a file, it is an OME-Zarr
-    image of version 0.5. Each task reads the part of the input that its block needs; blocks of a store that no stroke
-    reaches are copied without decoding. After an interruption, the same call resumes the work. The result equals that
-    of `Deformation.warp` on each channel, bit for bit. Label images in an OME-Zarr image, on the same grid, are warped
-    with it, and keep their labels.
-
-    Parameters
-    ----------
-    source, target : str or os.PathLike
-        Folders, or URLs of fsspec (``s3://``, ``gs://``, ``memory://``, ...). With two axes of space, it is a picture,
-        in pixels; with three, a volume, in millimetres if its axes have units. Other axes are carried along. If strokes
-        have points of two numbers, each plane of a volume is a picture. The source may also be a file: uncompressed
-        NIfTI and raw voxels are memory-mapped, tiles and strips of a TIFF are read when needed, and each process holds
-        other volumes and pictures in memory.
-    running : Running, optional
-        Where the tasks run: by default, on threads of this process.
-    tell : function of (str, int, int)
-        Called with ``"field"``, ``"plan"``, ``"warp"`` and ``"reduce"``, and the finished and the total number of
-        blocks.
-    **given
-        ``filter``, ``tolerance``, ``outside``, ``fill``, ``force``, ``fit``, ``maps`` and ``grid``, as in `warp_file`;
-        and ``options``, a `VolumeOptions` with ``world`` and ``labels``; for files, also ``layout`` and ``series``; and
-        ``save_field``: a store (``.zarr``, or a URL) becomes an OME-Zarr scene with both directions of the map, a
-        bijection, in the units and along the axes of the input; the field of a volume may also be a file.
-
-    After an error, such as a full disk or lost workers, finished blocks are kept, and the same call resumes the work.
-    """
-    return warp(job_of(source, target, recipe, **given), running or Running(), tell)
-
-
-@holding()
-def warp(job: Job, where: Running, tell: Tell) -> WarpedStore:
-    """Warp to a store, as in `warp_store`."""
-    source, target, known, grid, maps, force = job.source, job.target, job.volume, job.grid, job.maps, job.force
-    if where.elsewhere:
+def check(job: Job) -> None:
+    """Raise SuppleError for an output that is no store, or cannot be written, before workers are started."""
+    source, target, known = job.source, job.target, job.volume
+    if not is_store(target):
+        what = f"{shown(source)} is a Zarr store, and becomes one, which {shown(target)} is not"
+        raise SuppleError(f"{what}: name one, such as out.zarr")
+    if job.running.elsewhere:
         check_shared((source, target, *([] if known.save_field is None else [known.save_field])))
     folder = Place(target).folder
     if folder is not None:
-        check_store(folder if "://" in os.fspath(target) else target, force=force)  # before workers are started
-    opened = open_source(job)
+        check_store(folder if "://" in os.fspath(target) else target, force=job.force)
+
+
+@holding()
+def warp(job: Job, tell: Tell) -> Warped:
+    """Warp a Zarr array, an OME-Zarr image, a volume or a picture to a store, block by block, as in `supple.warp_file`.
+
+    Each task reads the part of the input that its block needs; blocks of a store that no stroke reaches are copied
+    without decoding. ``tell`` is called with ``"field"``, ``"plan"``, ``"warp"`` and ``"reduce"``, and the finished and
+    the total number of blocks. After an error, such as a full disk or lost workers, finished blocks are kept.
+    """
+    source, target, known, grid, maps, force = job.source, job.target, job.volume, job.grid, job.maps, job.force
+    opened = job.medium.stored
     image = opened.image
     if job.outside is None and opened.is_file and opened.geometry is not None and grid is not None and grid.reference:
         least = 0.0 if "c" in opened.samples.axes else least_of(opened.samples)  # as for volumes from file to file
@@ -147,7 +99,7 @@ def warp(job: Job, where: Running, tell: Tell) -> WarpedStore:
     field = None
     if known.save_field is not None:
         check_field(known.save_field, (source, target), flat=opened.geometry is None, force=force)
-        if is_scene(known.save_field):
+        if is_store(known.save_field):
             scale, translation = _located(opened, made.grid, known.save_field)
             axes = list(image.spatial)
             samples = Placement(made.shape, [scale[axis] for axis in axes], [translation[axis] for axis in axes])
@@ -155,7 +107,7 @@ def warp(job: Job, where: Running, tell: Tell) -> WarpedStore:
     other: dict[str, Any] = {} if made.grid is None else {"shape": made.grid.shape}
     if made.grid is not None and image.version:
         other["scale"], other["translation"] = _located(opened, made.grid, target)
-    with runner_of(where) as runner:
+    with runner_of(job.running) as runner:
         output = create(target, image, force=force, job=own, **other)
         mapping = None if field is None else field()
         work = Work(Place(image.address), opened.samples, not opened.is_file, opened.carried, output, made)
@@ -170,7 +122,7 @@ def warp(job: Job, where: Running, tell: Tell) -> WarpedStore:
             warnings.simplefilter("ignore")
             options = replace(known, labels=known.labels or "nearest", save_field=None)
             plain = Sampling(tolerance=job.sampling.tolerance, outside=job.sampling.outside)
-            warp(replace(job, source=here, target=there, force=True, volume=options, sampling=plain), where, tell)
+            warp(replace(job, source=here, target=there, force=True, volume=options, sampling=plain), tell)
     if mapping is not None:
         output.finish(mapping.target)
     elif known.save_field is not None:
@@ -183,12 +135,13 @@ def warp(job: Job, where: Running, tell: Tell) -> WarpedStore:
         saved = SavedField(os.fspath(known.save_field), tolerance, certificate.error)
     else:
         output.finish()
-    return WarpedStore(
-        os.fspath(source), os.fspath(target), made.deformation, opened.geometry, made.sampling.tolerance,
-        certificate.error, tuple(output.arrays[0].shape), len(output.arrays), labels, **counts, grid=made.grid,
-        folded=certificate.folded, outside=certificate.outside, unsolved=certificate.unknown, field=saved,
-        background=None if job.outside is not None or made.sampling.outside == "edge" else
-        0.0 if known.labels else opened.background,
+    chosen = job.outside is None and made.sampling.outside == "constant"
+    return Warped(
+        os.fspath(source), os.fspath(target), "store", (made.deformation,), made.sampling.tolerance, certificate.error,
+        geometry=opened.geometry, grid=made.grid, folded=certificate.folded, outside=certificate.outside,
+        unsolved=certificate.unknown, shape=tuple(output.arrays[0].shape), levels=len(output.arrays), labels=labels,
+        field=saved, background=None if not chosen else 0.0 if known.labels else opened.background,
+        **counts,  # type: ignore[arg-type]
     )  # fmt: skip
 
 
@@ -201,7 +154,7 @@ def _labels(source: Source, job: Job) -> tuple[str, ...]:
             why = "it has no plain name"
         else:
             try:
-                own = open_source(replace(job, source=f"{address}/{LABELS}/{name}", volume=VolumeOptions()))
+                own = replace(job, source=f"{address}/{LABELS}/{name}", volume=VolumeOptions()).medium.stored
                 if own.space != source.space or not own.grid.is_same_space(source.grid):
                     why = "it is on another grid"
                 elif own.image.dtype.kind not in "iub":
@@ -329,7 +282,7 @@ def _write_levels(work: Work, runner: Runner, tell: Tell, mode: Mode) -> None:
     levels = []
     for level in range(1, len(target.arrays)):
         shape = tuple(target.arrays[level].shape)
-        limit = max(1, plans.TASK // math.prod(target.factors[level]))
+        limit = max(1, TASK // math.prod(target.factors[level]))
         task = task_shape(target.blocks[level], shape, work.samples.dtype.itemsize, work.carried, runner.slots, limit)
         levels.append([(level, box, mode) for box in boxes_of(chunks_of(task, shape))])
     if levels:
@@ -343,3 +296,122 @@ def _reduce_block(work: Work, item: tuple[int, Box, Mode]) -> None:
     check_seen(work.place, work.target.site)
     if not (work.target.begun and work.target.is_done(level, box)):
         work.target.reduce(level, box, mode)
+
+
+@dataclass(frozen=True, slots=True)
+class Planned:
+    """The plan of a job, made without reading samples; bytes are those of decoded samples."""
+
+    shape: tuple[int, ...]  # of the output, all axes
+    dtype: str
+    block: tuple[int, ...]  # the shape of a task's block
+    blocks: int
+    copied: int  # blocks that are copies, since no stroke reaches them
+    read: int  # bytes to read, without copies; a chunk counts as often as it is read
+    copied_bytes: int
+    tasks: int  # tasks that run at a time
+    memory: int  # bytes in memory for these tasks: chunks, samples read, and the block
+    size: int  # bytes of the output, with all levels
+    error: float  # the error estimate from the checks of the map, in samples
+
+
+def plan_file(job: Job, tell: Tell = lambda step, done, total: None) -> Planned:
+    """Plan the warp of a store, a volume or a picture to a store; only the header is read, where possible."""
+    job = replace(job, target=PLANNED)
+    job.check_options()
+    opened = job.medium.stored
+    image, carried, item, chunks = opened.image, opened.carried, opened.image.dtype.itemsize, opened.samples.chunks
+    warp = warp_on(opened, job)
+    shape = (*image.shape[:carried], *warp.shape)
+    slots = max(1, round(threads() / (job.running.workers or 1)))
+    task = task_shape(image.levels[0].array.metadata.chunk_grid.chunk_shape, shape, item, carried, threads())
+    sizes = chunks_of(task, shape)
+    leads, positions = math.prod(map(len, sizes[:carried])), math.prod(shape[:carried])
+    copied, read, copied_bytes, most = 0, 0, 0, 0
+    with runner_of(Running()) as runner:
+        for blocks, certificate, _ in planned(warp, sizes[carried:], runner, tell):  # noqa: B007, the last one counts
+            for one in blocks:
+                count = math.prod(one.shape) * item
+                if one.identity and one.part == one.box:
+                    copied += leads
+                    copied_bytes += count * positions
+                    continue
+                part = whole_chunks(one.part, opened.space, chunks and chunks[carried:]) * item
+                read += part * positions
+                own = math.prod(b - a for a, b in one.part) * item
+                most = max(most, (part + own + 2 * count) * math.prod(task[:carried]))
+    warn_of(certificate, warp.sampling.tolerance, 3, folds_of(job.maps), only_name(job.maps))
+    levels = sum(math.prod(level.array.shape) / math.prod(image.shape) for level in image.levels)
+    return Planned(
+        shape, str(image.dtype), task, math.prod(map(len, sizes)), copied, read, copied_bytes, slots, most * slots,
+        round(levels * math.prod(shape) * item), certificate.error,
+    )  # fmt: skip
+
+
+def warp_on(source: Source, job: Job) -> Warp:
+    """Return the warp of an input by a job's recipe, for planning; SuppleError if an option does not fit the input."""
+    known, dtype, maps, sampling, volume = job.volume, source.image.dtype, job.maps, job.sampling, source.outline
+    if job.outside is None:
+        elsewhere = job.grid is not None and job.grid.reference is not None
+        outside = "constant" if source.geometry is not None and elsewhere else "edge"
+        sampling = replace(sampling, outside=outside, fill=0.0 if known.labels else source.background)
+    sampling = replace(sampling, filter=filtered(job).filter)
+    if known.labels and dtype.kind == "f":
+        raise SuppleError(f"{argument('labels')} is for whole numbers, and {source.name} holds {dtype}: leave it out")
+    if sampling.outside == "constant":
+        sampling = replace(sampling, fill=volume.stored(sampling.fill))
+    regrid = grid_on(job.grid, source.grid, source.name, maps)
+    if source.geometry is None:
+        if known.world:
+            raise SuppleError(f"{argument('world')} is for volumes, and {source.name} is a picture: leave it out")
+        fitted = fit_recipe(job.recipe, source.grid.sizes, job.fit, source.name)
+        deformation = Deformation.from_recipe(fitted, source.grid, maps=maps, warn=False)
+    else:
+        sampling = sampling.along_all_axes()
+        deformation = deformation_of(job, volume)
+    work_of(source.space, dtype, deformation.space_on(regrid), sampling, alpha=False)  # raise its errors now
+    return Warp(deformation, sampling, regrid)
+
+
+def task_shape(
+    block: Sequence[int], shape: Sequence[int], itemsize: int, carried: int, slots: int, limit: int | None = None
+) -> tuple[int, ...]:
+    """Return the shape of a task's block: one block of the output, or several if they are small.
+
+    It grows along the axes of space first, the shortest of them first: growing along the other axes would not reduce
+    the samples that are read for each block.
+    """
+    most = min((limit or TASK) / itemsize, math.prod(shape) / (_TURNS * slots))
+    sizes = [min(a, b) for a, b in zip(block, shape, strict=True)]
+    for axes in (range(carried, len(shape)), range(carried)):
+        grow(sizes, shape, axes, most, lambda k: min(-(-sizes[k] // block[k]) * 2 * block[k], shape[k]))
+    return tuple(sizes)
+
+
+def planned(
+    warp: Warp, chunks: Sequence[Sequence[int]], runner: Runner, tell: Tell
+) -> Iterator[tuple[list[Block], Certificate, bool]]:
+    """Yield lists of blocks, with the certificate of all blocks so far, and whether the list is the last.
+
+    A list holds whole layers, that is, all blocks with the same planes: whether a plane is a copy depends on all blocks
+    of its layer, and on no others.
+    """
+    boxes: list[Box] = []
+    certificate, done, total = Certificate(0.0, 0.0), 0, math.prod(map(len, chunks))
+    for first in boxes_of(chunks[:1]):
+        boxes += [(*first, *rest) for rest in boxes_of(chunks[1:])]
+        if len(boxes) >= _PORTION or done + len(boxes) == total:
+            blocks, found = warp.plan(boxes, lambda warp, boxes: runner.each(Warp.reads, warp, boxes, lambda: None))
+            certificate |= found
+            done += len(boxes)
+            tell("plan", done, total)
+            yield blocks, certificate, done == total
+            boxes = []
+
+
+def whole_chunks(part: Box, shape: Sequence[int], chunks: Sequence[int] | None) -> int:
+    """Return the number of samples in the chunks that overlap a part."""
+    if chunks is None:
+        return math.prod(b - a for a, b in part)
+    ends = [(a // n * n, min(-(-b // n) * n, size)) for (a, b), n, size in zip(part, chunks, shape, strict=True)]
+    return math.prod(b - a for a, b in ends)

@@ -11,14 +11,13 @@ import signal
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
-from dataclasses import dataclass
 from typing import Any, TypeVar
 
 from supple._core import threads
 from supple.engine.work import Tell
 from supple.errors import SuppleError, need, said, shown
+from supple.files.options import Running
 from supple.media.stores.places import Place
-from supple.space.checks import refuse
 
 Job = TypeVar("Job")
 Item = TypeVar("Item")
@@ -26,28 +25,6 @@ Result = TypeVar("Result")
 Advance = Callable[[], None]
 
 _PATIENCE = 10  # seconds to wait for a scheduler's answer
-
-
-@dataclass(frozen=True, slots=True)
-class Running:
-    """Where the tasks of a job run, in one of two ways; by default, on threads of this process."""
-
-    workers: int | None = None  # the number of processes on this machine
-    scheduler: str | None = None  # the address of that of a cluster of Dask, such as ``tcp://node1:8786``
-
-    def __post_init__(self) -> None:
-        given: object = self.workers  # user input of any type
-        if given is not None and (not isinstance(given, int) or isinstance(given, bool) or given < 1):
-            refuse("workers", "a number of processes from 1", given)
-        if self.workers is not None and self.scheduler is not None:
-            raise SuppleError(
-                "workers starts processes on this machine, and scheduler uses a cluster: give one of them"
-            )
-
-    @property
-    def elsewhere(self) -> bool:
-        """True if tasks run in other processes."""
-        return self.workers is not None or self.scheduler is not None
 
 
 class Runner:

@@ -179,11 +179,6 @@ class Work:
         return np.ascontiguousarray(np.diag(self.scale)[:, ::-1])
 
 
-def is_scene(address: PathLike | None) -> bool:
-    """Return whether a field will be written as an OME-Zarr scene: to a folder ``.zarr``, or to a URL."""
-    return address is not None and is_store(address)
-
-
 def check_field(address: PathLike, others: Sequence[PathLike], *, flat: bool, force: bool) -> None:
     """Raise SuppleError, before any work, for a field that cannot be written, or that overlaps one of the ``others``.
 
@@ -191,7 +186,7 @@ def check_field(address: PathLike, others: Sequence[PathLike], *, flat: bool, fo
     """
     if any(overlap(address, other) for other in others):
         raise SuppleError(f"{shown(address)} cannot be the field and an image too: give it a place of its own")
-    if is_scene(address):
+    if is_store(address):  # it is written as a scene
         return
     if flat:
         text = f"the field of a picture is written as OME-Zarr, which {shown(address)} is not: name it .zarr"

@@ -8,7 +8,7 @@ import json
 import os
 import shutil
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -22,16 +22,16 @@ from supple.engine.memory import beside, machine_memory
 from supple.engine.sampling import Certificate, Sampling, warn_of
 from supple.engine.work import Array, Space, Tell, work_of
 from supple.errors import GapWarning, SuppleError, VolumeWarning, argument, shown
-from supple.fields import Placed, folds_of, only_name
+from supple.fields import folds_of, only_name
 from supple.files.grids import grid_on, reference_grid, warn_of_place
-from supple.files.jobs import Job, Warped, job_of
+from supple.files.jobs import Job, Warped
 from supple.files.options import GridOptions, PathLike, VolumeOptions
 from supple.folding.resolved import warn_of_still
-from supple.media.files import check_output, is_store, replacing
+from supple.media.files import check_output, replacing
 from supple.media.volume import Volume, check_target, derived, read, suffix_of, write
 from supple.media.volume.dicom import padding_of
 from supple.space.geometry import Floats, Geometry, Grid
-from supple.strokes import CoordinateSpace, Fit, Recipe, Stroke, fit_recipe
+from supple.strokes import CoordinateSpace, Recipe, Stroke, fit_recipe
 
 # The test for label maps: the number of slices that are examined; the smallest fraction of equal neighbours outside
 # the background; the largest number of labels; and the number of values that are always few enough.
@@ -57,48 +57,28 @@ class Flowing:
 
 def open_volume(source: PathLike, options: VolumeOptions | None = None) -> Volume:
     """Return a volume with the samples as stored; `Volume.rescaled` returns the scaled values."""
-    known = options or VolumeOptions()
-    volume = read(source, raw=known.layout, series=known.series, irregular=known.irregular)
-    for name in ("series", "irregular"):
-        if getattr(known, name) is not None and volume.format != "DICOM":
-            text = f"{volume.name} is {volume.format}, and {argument(name)} is for DICOM folders: leave it out"
-            raise SuppleError(text)
-    return volume
+    return read(source, **(options or VolumeOptions()).how)
 
 
-def place_of(path: PathLike, options: VolumeOptions | None = None) -> str | None:
-    """Return the convention of a volume's geometry, as in `Geometry`, for points of three numbers; None for a clip."""
-    if is_store(path):
-        from supple.media.stores.image import open_image
-
-        image = open_image(path)
-        return None if len(image.spatial) < 3 else "LPS" if image.placed else "array"
-    solid = Recipe(strokes=(Stroke(at=(0, 0, 0), by=(0, 0, 0), radius=1),))
-    medium = Job(path, "", solid, volume=options or VolumeOptions()).medium
-    return medium.outline.geometry.convention if medium.kind == "volume" else None
-
-
-def deformation_of(
-    recipe: Recipe, volume: Volume, *, world: bool = False, fit: Fit | None = None, maps: Sequence[Placed] = ()
-) -> Deformation:
-    """Return the deformation of a volume by a recipe: radius and border are in millimetres, points are indices.
+def deformation_of(job: Job, volume: Volume) -> Deformation:
+    """Return the deformation of a volume by a job: radius and border are in millimetres, points are indices.
 
     The deformation is on the volume's grid, or, if that is sheared, on the upright grid around it (`Grid.upright`),
-    whose faces the border keeps in place. With ``world``, points are positions in space. ``maps`` are fields and affine
-    maps between the strokes, in millimetres in LPS. SuppleError if a stroke has no third coordinate; points are in
-    space, but the volume has no position; or the recipe was made for another size, without ``fit``.
+    whose faces the border keeps in place. SuppleError if a stroke has no third coordinate; points are in space, but the
+    volume has no position; or the recipe was made for another size, without ``fit``.
     """
+    recipe, maps = job.recipe, job.maps
     for i, stroke in enumerate(recipe.strokes):
         if stroke.ndim != 3 and not stroke.hidden:
             which = f"stroke {i + 1} of {len(recipe.strokes)}: " if len(recipe.strokes) > 1 else ""
             raise SuppleError(f"{which}a volume's points have three numbers, x, y and z, and {stroke.at} has two")
-    located = in_space(recipe, volume.geometry, volume.name, world)
+    located = in_space(recipe, volume.geometry, volume.name, job.volume.world)
     if located.space in ("LPS", "RAS") and located.border == "auto" and located.size not in (None, volume.sizes):
         made_for = " x ".join(map(str, located.size or ()))
         text = f"the recipe is of a volume of {made_for} voxels, and its border, a tenth of each axis, is elsewhere in "
         text += f"{volume.name}: the map is another one; the field of the first volume is the same"
         warnings.warn(text, VolumeWarning, stacklevel=4)
-    known = fit_recipe(located, volume.sizes, fit, volume.name)
+    known = fit_recipe(located, volume.sizes, job.fit, volume.name)
     if maps:
         warn_of_place(volume.geometry, volume.name)
     own = volume.grid.upright()
@@ -192,24 +172,12 @@ def filtered(job: Job) -> Sampling:
     return replace(job.sampling, filter=wanted) if job.volume.labels else job.sampling
 
 
-def warp_volume(
-    source: PathLike,
-    target: PathLike,
-    recipe: Recipe,
-    *,
-    tell: Tell = lambda step, done, total: None,
-    **given: Any,
-) -> Warped:
-    """Warp a volume file, slab by slab; ``given`` are other arguments of `supple.warp_file`.
+def warp(job: Job, tell: Tell) -> Warped:
+    """Warp a volume, slab by slab, as in `supple.warp_file`; the job's names and options are already checked.
 
     ``tell`` is called with ``"read"``, then with ``"warp"``, the number of finished slices, and their total, and with
     ``"write"``.
     """
-    return job_of(source, target, recipe, **given).warp(tell=tell)
-
-
-def warp(job: Job, tell: Tell) -> Warped:
-    """Warp a volume, as in `warp_volume`; the job's names and options are already checked."""
     source, target, known, grid, maps = job.source, job.target, job.volume, job.grid, job.maps
     sampling = filtered(job).along_all_axes()
     tell("read", 0, 1)
@@ -226,7 +194,7 @@ def warp(job: Job, tell: Tell) -> Warped:
     seen = volume  # the volume that strokes refer to
     if grid is not None and grid.strokes and grid.reference is not None:
         seen = moved(volume, reference_grid(grid.reference, 3), grid)
-    deformation = deformation_of(job.recipe, seen, world=known.world, fit=job.fit, maps=maps)
+    deformation = deformation_of(job, seen)
     warn_of_still(job.recipe.strokes)
     background = None
     if job.outside is None and grid is not None and grid.reference is not None:  # much may lie outside of the input

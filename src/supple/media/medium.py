@@ -1,14 +1,15 @@
-"""The kind of a file, picture, clip or volume; decided once, by its content, its name, the output and the strokes."""
+"""The kind of a file, picture, clip, volume or store; decided once, by its content, name, output and strokes."""
 
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Literal, TypeAlias
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
-from supple.errors import shown
-from supple.media.files import PathLike
+from supple.errors import SuppleError, shown
+from supple.media.files import PathLike, is_store
 from supple.media.numbering import has_number
 from supple.media.pictures import SUFFIXES as PICTURES
 from supple.media.suffixes import CLIPS, CLIPS_OUT, VOLUMES_OUT, is_animation, is_volume, suffix_of
@@ -16,9 +17,10 @@ from supple.space.geometry import Grid
 
 if TYPE_CHECKING:
     from supple.media import sequence, video
-    from supple.media.volume import RawLayout, Volume
+    from supple.media.stores.inputs import Source
+    from supple.media.volume import Volume
 
-Kind = Literal["picture", "clip", "volume"]
+Kind = Literal["picture", "clip", "volume", "store"]
 Clip: TypeAlias = "sequence.Pictures | video.Clip"
 """An open image sequence or video, whose frames are read in order."""
 
@@ -35,9 +37,8 @@ class Medium:
 
     path: PathLike
     kind: Kind
-    layout: RawLayout | None = None  # this and the next are of volumes, as in `supple.media.volume.read`
-    series: str | None = None
-    irregular: str | None = None
+    how: Mapping[str, Any] = field(default_factory=dict)  # of a volume: the options of `supple.media.volume.read`
+    axes: int | None = None  # of points, maps and the output's grid; None if nothing says it
 
     @property
     def name(self) -> str:
@@ -47,13 +48,29 @@ class Medium:
     @cached_property
     def outline(self) -> Volume:
         """A volume without its samples, as `supple.media.volume.outline_of` returns it."""
+        if self.kind == "store":
+            return self.stored.outline
         from supple.media.volume import outline_of
 
-        return outline_of(self.path, raw=self.layout, series=self.series, irregular=self.irregular)
+        return outline_of(self.path, **self.how)
+
+    @cached_property
+    def stored(self) -> Source:
+        """What is read and written block by block: a store, or a picture or volume that becomes one."""
+        from supple.media.stores.inputs import open_source
+
+        if not is_store(self.path) and opened(self.path, self.path, axes=self.axes, how=self.how).kind == "clip":
+            kind = "folder without a volume" if os.path.isdir(self.path) else "clip"
+            raise SuppleError(
+                f"{self.name} is a {kind}, and blocks are of pictures, volumes and Zarr stores: give one of these"
+            )
+        return open_source(self.path, self.axes, self.how)
 
     @cached_property
     def grid(self) -> Grid | None:
         """The grid of a picture in pixels, or of a volume in millimetres; None for a clip."""
+        if self.kind == "store":
+            return self.stored.grid
         if self.kind == "volume":
             return self.outline.grid
         return picture_grid(self.path) if self.kind == "picture" else None
@@ -61,7 +78,7 @@ class Medium:
     @property
     def is_dicom(self) -> bool:
         """True if it is a volume in DICOM."""
-        if self.kind != "volume" or self.layout is not None:
+        if self.kind != "volume" or "raw" in self.how:
             return False
         from supple.media.volume import is_dicom
 
@@ -72,11 +89,9 @@ def opened(
     path: PathLike,
     target: PathLike = "",
     *,
-    axes: int = 2,
+    axes: int | None = None,
     moves: bool = False,
-    layout: RawLayout | None = None,
-    series: str | None = None,
-    irregular: str | None = None,
+    how: Mapping[str, Any] | None = None,
 ) -> Medium:
     """Return a file, a pattern or a folder as a `Medium`, and decide its kind.
 
@@ -84,19 +99,25 @@ def opened(
     ----------
     path : str or os.PathLike
     target : str or os.PathLike
-        The output: where it has several frames or is a volume, the input is read as a clip or a volume if it can be.
-    axes : int
+        The output: where it has several frames or is a volume, the input is read as a clip or a volume if it can be;
+        where either is a Zarr store, it is read block by block.
+    axes : int, optional
         The number of axes of points, maps and the output's grid: with 3, the pages of a TIFF are a volume.
     moves : bool
         Whether strokes have a time or move from frame to frame: then animated pictures and a folder of pictures are a
         clip.
-    layout, series, irregular
-        As in `supple.media.volume.read`; with one of the first two, it is a volume.
+    how : mapping, optional
+        Options of `supple.media.volume.read`; with ``raw`` or ``series``, it is a volume.
     """
-    goal = suffix_of(target)
-    if layout is not None or series is not None or _is_volume(path, goal, axes == 3):
-        return Medium(path, "volume", layout, series, irregular)
-    return Medium(path, "clip" if _is_clip(path, target, goal, moves) else "picture")
+    goal, how = suffix_of(target), how or {}
+    kind: Kind = "clip"
+    if is_store(path) or (target and is_store(target)):
+        kind = "store"
+    elif {"raw", "series"} & {*how} or _is_volume(path, goal, axes == 3):
+        kind = "volume"
+    elif not _is_clip(path, target, goal, moves):
+        kind = "picture"
+    return Medium(path, kind, how, axes)
 
 
 def _is_volume(path: PathLike, goal: str, solid: bool) -> bool:

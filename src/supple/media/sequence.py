@@ -21,7 +21,7 @@ from supple.engine.stream import Frame
 from supple.engine.work import Array, Group, Layout
 from supple.errors import SuppleError, shown
 from supple.media import image as pictures
-from supple.media.base import ClipWarning, LazyFrame
+from supple.media.base import ClipWarning, FrameSource, LazyFrame
 from supple.media.files import PathLike, check_outputs, first_bytes, replacing_all
 from supple.media.image import ImageWarning, MetadataWarning, PageWarning, Picture, exr
 from supple.media.image.formats import DTYPES, divided, is_exr
@@ -34,21 +34,15 @@ from supple.space.checks import number
 _WHITE = {"uint8": 255.0, "uint16": 65535.0, "float32": 1.0}
 
 
-class Pictures:
-    """Images of one size and type, as the frames of a clip."""
+class Pictures(FrameSource):
+    """Images of one size and type, as the frames of a clip, in one group: a grid of pixels."""
 
-    layout: Layout  # one group: a grid of pixels
+    stills = True
     paths: list[Path]  # in order
     first: int | None  # the number of the first image, if the names are numbered
-    rate: Fraction  # frames a second, given by the caller
     starts: Sequence[int] = ()  # start times of the frames, and the end, in milliseconds; empty for a constant rate
-    rotation, mirrored = 0.0, False  # for display: degrees counterclockwise, after frames are mirrored left to right
-    fields = ""  # the field of interlaced frames that is shown first
-    plays: int | None = None  # the number of times that an animation plays, 0 for ever; None for others
     unpictured: tuple[str, ...] = ()  # streams that are lost in images: sound, subtitles
     extra: tuple[int, ...] = ()  # the meanings of the channels above the colours, as in `Picture`
-    # the display window, to which points are relative: x and y of its first pixel, width and height; or None
-    display: tuple[int, int, int, int] | None = None
 
     def __init__(self, name: str, paths: list[Path], rate: Fraction, first: int | None) -> None:
         self.name, self.paths, self.rate, self.first = name, paths, rate, first
@@ -62,12 +56,12 @@ class Pictures:
             _require(path, _layout(path, opened(path)[0]), self.layout, shown(paths[0]))
 
     @property
-    def count(self) -> int:
+    def count(self) -> int:  # type: ignore[override]
         """The number of frames."""
         return len(self.paths)
 
     @property
-    def base(self) -> Fraction:
+    def base(self) -> Fraction:  # type: ignore[override]
         """The unit of `time`, in seconds."""
         return Fraction(1, 1000) if self.starts else 1 / self.rate
 
@@ -76,7 +70,7 @@ class Pictures:
         return (self.starts[k], self.starts[k + 1] - self.starts[k]) if self.starts else (k, 1)
 
     @property
-    def aspect(self) -> Fraction | None:
+    def aspect(self) -> Fraction | None:  # type: ignore[override]
         """The width of a pixel, relative to its height; None but for OpenEXR."""
         return exr.head_only(self.paths[0])[0].aspect if self.paths and is_exr(self.paths[0]) else None
 

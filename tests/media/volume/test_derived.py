@@ -241,7 +241,7 @@ def test_a_dose_is_in_gray(tmp_path: Path) -> None:
     for unit, told in (("GY", "Gy"), ("RELATIVE", "")):
         head.DoseUnits = unit
         head.save_as(tmp_path / "dose.dcm")
-        facts, text = describe(str(tmp_path / "dose.dcm"))
+        facts, text = describe(str(tmp_path / "dose.dcm"), {})
         assert facts["unit"] == told
         span = f"{known.rescaled().min():.6g} to {known.rescaled().max():.6g} {told}".rstrip()
         assert f"  range       {span}\n" in text

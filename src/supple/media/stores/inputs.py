@@ -1,4 +1,4 @@
-"""Inputs that are not Zarr stores: their samples, read in parts, and the OME-Zarr images that they are converted to."""
+"""Inputs that are read block by block: Zarr stores, and files with the OME-Zarr images that they are converted to."""
 
 from __future__ import annotations
 
@@ -7,21 +7,22 @@ import math
 import os
 import threading
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from supple.engine.work import Array
-from supple.errors import SuppleError, VolumeWarning, need, shown
+from supple.errors import SuppleError, VolumeWarning, argument, need, shown
 from supple.media import image, volume
-from supple.media.files import PathLike, head_of, unreadable
-from supple.media.stores.image import StoredImage, described
+from supple.media.files import PathLike, head_of, is_store, unreadable
+from supple.media.stores.image import StoredImage, described, open_image
 from supple.media.stores.places import Place, quiet
 from supple.media.transforms.ngff import ORIENTATIONS
 from supple.media.volume import pages
 from supple.media.volume.data import rescaled, rescaled_dtype
-from supple.space.geometry import Geometry, check_upright
+from supple.space.geometry import Geometry, Grid, check_upright
 
 _CHUNK = {2: 512, 3: 64}  # the side of a chunk, by the number of axes of space
 _SHARD = 1 << 25  # bytes
@@ -208,6 +209,85 @@ def like_file(path: PathLike, samples: Samples, *, ndim: int | None = None) -> S
                 dimension_names=[axis["name"] for axis in axes],
             )  # fmt: skip
         return described(Place(path), group, ndim)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Source:
+    """An input that will be warped block by block; no samples have been read."""
+
+    name: str  # for messages
+    image: StoredImage  # the store's image, or the one that a file is converted to
+    samples: Any  # an array or `Samples`, which is sliced
+    geometry: Geometry | None  # of a volume; None for a picture
+    scaling: tuple[float, float] = (1.0, 0.0)  # slope and intercept; a Zarr array's scale_factor and add_offset
+    background: float = 0.0  # the scaled fill value outside a volume
+
+    @property
+    def is_file(self) -> bool:
+        """True if it is a file, and not a Zarr store."""
+        return isinstance(self.samples, Samples)
+
+    @property
+    def carried(self) -> int:
+        """The number of axes before those of space."""
+        return len(self.image.axes) - len(self.image.spatial)
+
+    @property
+    def space(self) -> tuple[int, ...]:
+        """The shape along the axes of space."""
+        return self.image.shape[self.carried :]
+
+    @property
+    def grid(self) -> Grid:
+        """The grid of the samples: in pixels, or in millimetres."""
+        return Grid(self.space) if self.geometry is None else self.geometry.grid(self.space)
+
+    @property
+    def outline(self) -> volume.Volume:
+        """One volume or picture, whose samples are 0, and take no memory."""
+        whole = np.broadcast_to(np.zeros((), self.image.dtype), self.space)
+        return volume.Volume(whole, self.geometry or Geometry(), self.name, scaling=self.scaling)
+
+
+def open_source(path: PathLike, axes: int | None, how: Mapping[str, Any]) -> Source:
+    """Open an input as a picture or a volume, by a number of axes of space, or else by its own axes.
+
+    ``how`` has options of `supple.media.volume.read`. SuppleError if the input cannot be read; if an option does not
+    apply to it; or if it has fewer axes of space.
+    """
+    if not is_store(path):
+        samples = Samples(path, **how)
+        n = _axes_of_space(path, axes, 3 if "z" in samples.axes else 2)
+        geometry = samples.geometry if n == 3 else None
+        return Source(shown(path), like_file(path, samples, ndim=n), samples, geometry)
+    for name in how:
+        raise SuppleError(f"Zarr stores take no {argument('layout' if name == 'raw' else name)}: leave that out")
+    image = open_image(path)
+    n = _axes_of_space(path, axes, len(image.spatial))
+    image = image if n == len(image.spatial) else open_image(path, ndim=n)
+    names, usual = [image.axes[axis].name.lower() for axis in image.spatial], list("zyx"[-n:])
+    if sorted(names) == sorted(usual) and names != usual:  # the x of points is along the last axis
+        what = f"its axes of space are {', '.join(names)}, in this order"
+        raise unreadable(image.address, what, f"store them in the order {', '.join(usual)}, as OME-Zarr has them")
+    geometry = None
+    if n == 3:
+        geometry = image.grid.geometry("LPS") if image.placed else Geometry()
+    array = image.levels[0].array
+    scaling = 1.0, 0.0
+    with contextlib.suppress(TypeError, ValueError):  # for attributes that are not numbers
+        scaling = float(array.attrs.get("scale_factor", 1)), float(array.attrs.get("add_offset", 0))
+    scaling = scaling if scaling[0] else (1.0, 0.0)
+    fill = array.metadata.fill_value
+    number = isinstance(fill, int | float | np.number) and np.isfinite(fill)
+    background = float(fill) * scaling[0] + scaling[1] if number else 0.0
+    return Source(shown(image.address), image, array, geometry, scaling, background)
+
+
+def _axes_of_space(path: PathLike, stated: int | None, found: int) -> int:
+    if stated is not None and stated > found:
+        text = f"{shown(path)} is a picture, with {found} axes of space, and strokes, maps or the crop have {stated}"
+        raise SuppleError(f"{text}: give points of two numbers, x and y")
+    return stated or found
 
 
 def _placed(path: PathLike, samples: Samples) -> tuple[list[dict[str, Any]], list[float], list[float]]:

@@ -22,7 +22,7 @@ import numpy as np
 
 from supple._core import threads as all_threads
 from supple.engine.work import Array
-from supple.media.base import ClipWarning, CountError, LazyFrame
+from supple.media.base import ClipWarning, CountError, FrameSource, LazyFrame
 from supple.media.codecs import codec_of
 from supple.media.files import PathLike, unreadable
 from supple.media.video import demux
@@ -42,7 +42,6 @@ from supple.media.video.colour import (
 from supple.media.video.encode import writer
 from supple.media.video.plan import container_of
 from supple.media.video.planes import form, palette, unpack, wider
-from supple.media.video.source import VideoSource
 from supple.media.video.streams import named
 
 _COPY = "give a whole copy of it"
@@ -51,7 +50,7 @@ _FINEST = 1 << 31  # ticks a second
 _MOST = 1000  # frames a second; higher rates are tick counts
 
 
-class Clip(VideoSource):
+class Clip(FrameSource):
     """An open video file: its main video stream, called the film, and its other streams; see `open_clip`."""
 
     codec: str  # such as "h264"
@@ -76,7 +75,7 @@ class Clip(VideoSource):
         self.count = counted.count if count is None else count
         try:
             film = demux.chosen(self.source, path)
-            super().__init__(shown(path), _rate(film, counted), film.time_base or Fraction(1, 1000))
+            self.name, self.rate, self.base = shown(path), _rate(film, counted), film.time_base or Fraction(1, 1000)
             self._lasting(demux.delays_of(self.source))
             self._read_facts(film)
             self._look(first)

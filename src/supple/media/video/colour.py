@@ -244,8 +244,8 @@ class Grading:
         return made
 
 
-def graded(frame: av.VideoFrame) -> Grading:
-    """Return the mastering data of a frame."""
+def graded(frame: av.VideoFrame) -> Grading | None:
+    """Return the mastering data of a frame; None if it has none."""
     screen = light = None
     data = side_data(frame, "MASTERING_DISPLAY_METADATA")
     if data is not None and len(data) >= 88:
@@ -259,7 +259,7 @@ def graded(frame: av.VideoFrame) -> Grading:
     if data is not None and len(data) >= 8:
         brightest, average = np.frombuffer(data, "<u4", 2)
         light = (int(brightest), int(average))
-    return Grading(screen, light)
+    return Grading(screen, light) if screen or light else None
 
 
 def side_data(frame: av.VideoFrame, kind: str) -> bytes | None:

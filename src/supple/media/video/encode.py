@@ -14,14 +14,15 @@ import av
 from av.filter import Graph
 
 from supple.engine.work import Array
-from supple.media.codecs import codec_of
+from supple.errors import SuppleError
+from supple.media.base import FrameSource
+from supple.media.codecs import STILLS, codec_of
 from supple.media.files import PathLike, check_output, replacing, unwritable
 from supple.media.sequence import Pictures
-from supple.media.video.colour import Colour, filtered, recast, sited
+from supple.media.video.colour import BT709, FULL, RGB, Colour, filtered, recast, sited
 from supple.media.video.demux import said, usual_step
 from supple.media.video.plan import WritePlan, container_of, open_encoder
 from supple.media.video.planes import form, pack
-from supple.media.video.source import Stills, VideoSource
 from supple.media.video.streams import Passage, kept_tags, titled
 
 _FELT = Fraction(1, 4)  # of a frame: larger errors of time are reported
@@ -32,7 +33,7 @@ class Sink:
 
     aside = True
 
-    def __init__(self, video: VideoSource, plan: WritePlan, temporary: Path) -> None:
+    def __init__(self, video: FrameSource, plan: WritePlan, temporary: Path) -> None:
         self._plan, self._video = plan, video
         self._colour = replace(video.colour, site=sited(video.colour, video.codec, video.form.kind))
         self._times: dict[int, tuple[int, int]] = {}
@@ -254,9 +255,29 @@ def _paletted(frame: av.VideoFrame) -> av.VideoFrame:
     return graph.vpull()
 
 
+def _as_film(pictures: Pictures) -> None:
+    """Set the pixel format and the colours of images; SuppleError if they are neither grey nor RGB.
+
+    Their colours are assumed to be sRGB, and tagged with the primaries of BT.709; most players use one curve for both.
+    """
+    group = pictures.layout.groups[0]
+    count, known = group.channels, STILLS[pictures.layout.dtype.name]
+    if pictures.extra == (1,):
+        what = "colours that are multiplied by their opacity (A), which films do not"
+        raise SuppleError(f"{pictures.name} holds {what}: write pictures, or leave A out")
+    if count > len(known) or group.alpha == bool(count % 2) or pictures.interpretation in ("cmyk", "lab"):
+        raise SuppleError(f"{pictures.name} holds neither grey nor RGB pictures: convert them first")
+    found = form(known[count - 1])
+    assert found is not None
+    pictures.form, pictures.colour = found, Colour(FULL, BT709, BT709, RGB)
+    profile = pictures.picture(0)[0].icc
+    if profile and b"sRGB" not in profile and "sRGB".encode("utf-16-be") not in profile:
+        pictures.unheld = ("the colour profile of the pictures",)
+
+
 @contextlib.contextmanager
 def writer(
-    clip: VideoSource | Pictures,
+    video: FrameSource,
     target: PathLike,
     *,
     force: bool = False,
@@ -272,7 +293,8 @@ def writer(
     """
     container_of(target)
     check_output(target, force=force)
-    video = clip if isinstance(clip, VideoSource) else Stills(clip)
+    if isinstance(video, Pictures):
+        _as_film(video)
     plan = WritePlan(video, target, **settings)
     with replacing(target, force=force) as temporary:
         sink = None

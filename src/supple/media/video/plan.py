@@ -17,7 +17,7 @@ import numpy as np
 
 from supple._core import threads as all_threads
 from supple.errors import SuppleError, shown
-from supple.media.base import ClipWarning
+from supple.media.base import ClipWarning, FrameSource
 from supple.media.codecs import (
     ALIASES,
     CODECS,
@@ -32,9 +32,8 @@ from supple.media.codecs import (
 )
 from supple.media.files import PathLike, check_suffix, unwritable
 from supple.media.suffixes import CLIPS_OUT
-from supple.media.video.colour import BT601, BT709, FULL, LIMITED, RGB, UNKNOWN, Colour, Grading, sited
+from supple.media.video.colour import BT601, BT709, FULL, LIMITED, RGB, UNKNOWN, Colour, sited
 from supple.media.video.planes import Form, Kind, form
-from supple.media.video.source import VideoSource
 
 _FINEST = 1_000_000  # the finest ticks a second that encoders handle well
 _TICKS = 50_000_000  # a second, the most in MP4
@@ -138,7 +137,7 @@ class WritePlan:
 
     def __init__(
         self,
-        video: VideoSource,
+        video: FrameSource,
         target: PathLike,
         *,
         codec: str | None = None,
@@ -297,7 +296,7 @@ class WritePlan:
                 self.depth = text
             else:
                 self.warn(text)
-        if video.grading != Grading() and not self.encoder.graded:
+        if video.grading and not self.encoder.graded:
             others = _having(self.container, "graded")
             advice = f": --codec {' or '.join(others)} keeps them" if others else ""
             self.warn(f"loses the light levels of HDR, which {self.encoder.codec} cannot hold{advice}")
@@ -405,9 +404,9 @@ class WritePlan:
                 settings.update({"profile": "dnxhd", "b": "185M" if video.rate <= 25 else "220M"})
         if self.encoder.name == "prores_ks" and video.codec == "prores" and chosen.same:
             settings["profile"] = self.encoder.profiles.get(video.profile, "auto")
-        key, words = self.encoder.params, video.grading.words(self.encoder.graded) if self.encoder.graded else []
-        if words:
-            settings[key] = _joined(settings.get(key), *words)
+        if video.grading and self.encoder.graded:
+            key = self.encoder.params
+            settings[key] = _joined(settings.get(key), *video.grading.words(self.encoder.graded))
         if self.encoder.codec == "hevc" and self.container.mp4:
             context.codec_tag = "hvc1"  # for QuickTime
 
@@ -446,7 +445,7 @@ def open_encoder(context: av.VideoCodecContext) -> None:
             os.sched_setscheduler(0, policy, parameters)
 
 
-def timescale(video: VideoSource) -> int:
+def timescale(video: FrameSource) -> int:
     """Return the ticks a second for the start times of an MP4's streams, such that none is rounded, if possible."""
     streams = video.source.streams if video.source else ()
     bases = [video.base, *(stream.time_base for stream in streams if stream.type in ("audio", "video"))]
@@ -541,7 +540,7 @@ def _pictured(kind: Kind, colour: Colour) -> bool:
     return kind.family == "rgb" or (kind.family == "gray" and colour.matrix == RGB)
 
 
-def _matched(video: VideoSource, to: Form, exact: bool, told: Colour) -> Match:
+def _matched(video: FrameSource, to: Form, exact: bool, told: Colour) -> Match:
     source, colour = video.form, video.colour
     whole = to.name.startswith("yuvj")
     same = source.kind == to.kind and not (whole and not colour.full(source))

@@ -7,6 +7,7 @@ import io
 import re
 import warnings
 from collections import deque
+from collections.abc import Mapping
 from fractions import Fraction
 from typing import Any
 
@@ -34,12 +35,12 @@ _FELT = Fraction(1, 50)  # seconds: a larger error between image and sound is re
 _COUNTED = ("_STATISTICS", "BPS", "NUMBER_OF_", "DURATION")
 
 
-def titled(tags: dict[str, str]) -> dict[str, str]:
+def titled(tags: Mapping[str, str]) -> dict[str, str]:
     """Return tags with a stream's title under the key that muxers use; MP4's demuxer returns it under another one."""
     return {"title" if key == "name" and "title" not in tags else key: value for key, value in tags.items()}
 
 
-def kept_tags(tags: dict[str, str]) -> dict[str, str]:
+def kept_tags(tags: Mapping[str, str]) -> dict[str, str]:
     """Return the metadata that also hold for another file with the same contents."""
     return {key: value for key, value in tags.items() if key.lower() not in _OWN and not key.startswith(_COUNTED)}
 

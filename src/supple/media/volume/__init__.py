@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from supple.errors import SuppleError, argument, shown
 from supple.media.files import PathLike, check_output, check_suffix, head_of, is_zarr, unreadable, unwritable
 from supple.media.suffixes import FORMATS, is_volume, suffix_of
 from supple.media.suffixes import VOLUMES as SUFFIXES
@@ -71,9 +72,13 @@ def read(
         not on a regular grid with a spacing above 0.
     """
     form = "raw" if raw is not None else _format(path)
+    given = {"series": series, "irregular": irregular}
+    for name, value in given.items():
+        if value is not None and form != "DICOM":
+            raise SuppleError(f"{shown(path)} is {form}, and {argument(name)} is for DICOM folders: leave it out")
     if form == "raw":
         return voxels.read_dat(path) if raw is None and suffix_of(path) == ".dat" else voxels.read(path, raw)
-    options = {"series": series, "irregular": irregular} if form == "DICOM" else {"header_only": header_only}
+    options = given if form == "DICOM" else {"header_only": header_only}
     return _module(form).read(path, **({} if form == "TIFF" else options))  # type: ignore[no-any-return]
 
 

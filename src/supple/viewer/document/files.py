@@ -14,17 +14,16 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import IO, Any, Protocol, cast
+from typing import IO, Any, Protocol
 
 from supple.errors import SuppleError, facing, shown
-from supple.files import Job, warp_file
+from supple.files import Job
 from supple.files.clips import is_picture_target
 from supple.files.freezing import read_freeze, write_freeze
-from supple.files.maps import convention_out
+from supple.files.maps import convention_out, write_map
 from supple.files.options import ClipOptions, PathLike, VolumeOptions
 from supple.files.places import Places
 from supple.files.recipes import read_recipe, write_recipe
-from supple.files.registrations import write_map
 from supple.files.tracking import track
 from supple.media.files import check_output, locked, replacing, same_file
 from supple.media.image import check_target
@@ -32,7 +31,7 @@ from supple.media.medium import VIDEOS_OUT, opened
 from supple.media.pictures import COMPRESSIONS, OUT
 from supple.media.suffixes import ANIMATED
 from supple.media.volume import SUFFIXES_OUT as VOLUMES_OUT
-from supple.media.volume import suffix_of
+from supple.media.volume import read, suffix_of
 from supple.strokes import Recipe, Stroke, spoken
 from supple.viewer.document.background import Task
 from supple.viewer.document.editing import Document, Kind
@@ -476,7 +475,8 @@ class FileCommands:
         """Open another medium in a window of its own; SuppleError if it cannot be read, or no window be opened."""
         if not os.path.exists(path):
             raise SuppleError(f"cannot read {shown(path)}: there is no such file")
-        _ = opened(path).grid  # raises SuppleError if it cannot be read; a clip is not opened here
+        medium = opened(path)
+        _ = medium.grid if medium.kind != "store" else read(path)  # raises SuppleError; a clip is not opened here
         if not self.windows:
             raise SuppleError(f"{shown(path)} needs a window of its own: supple view opens one, on a screen or --serve")
         words = [sys.executable, "-m", "supple", "view", os.fspath(path)]
@@ -495,20 +495,21 @@ class FileCommands:
         if not os.fspath(path):
             raise SuppleError("the export needs a name, whose suffix says the format")
         self._spare(path)
-        recipe, options, work = self.document.recipe, dict(self.options), cast("Callable[..., object]", warp_file)
-        if self.field is not None:
-            convention_out(path, self.field, None)
-            check_output(path, force=force)
-            work = partial(write_map, to=self.field)
-        else:
+        options = dict(self.options)
+        if self.field is None:
             if self.document.kind == "video":
                 options["clip"] = replace(options.get("clip", ClipOptions()), hold=self.document.hold)
             lossy, ways = saved(path)
             options["quality"] = options.get("quality") if lossy else None
             options["compression"] = how if (how := options.get("compression")) in ways else None
-            Job(self.source, path, recipe, force=force, **options).check()
+        job = Job(self.source, path, self.document.recipe, force=force, **options)
+        if self.field is None:
+            job.check()
+        else:
+            convention_out(path, self.field, None)
+            check_output(path, force=force)
         self.message = ""
-        self.export = Task(partial(work, self.source, path, recipe, force=force, **options), path)
+        self.export = Task(job.warp if self.field is None else partial(write_map, job, self.field), path)
 
     def end_export(self) -> None:
         """Cancel a running export, or dismiss a finished one."""

@@ -64,7 +64,7 @@ def stage_of(gpu: Gpu, source: Source, options: ViewOptions = _USUAL) -> ImageSt
     """
     if isinstance(source, str | os.PathLike):
         name = shown(source)
-        if Job(source, "", Recipe(), volume=options.volume, maps=options.maps).medium.kind == "volume":
+        if Job(source, "", Recipe(), volume=options.volume, maps=options.maps).medium.kind in ("volume", "store"):
             _suits(name, options, "volume")
             return volume_stage(gpu, source, options)
         moves = _moves(source)
