@@ -11,7 +11,7 @@ from imgui_bundle import imgui
 from supple.viewer.panels import theme
 from supple.viewer.panels.theme import ICONS
 from supple.viewer.panels.view import STRIP, TOP, WIDE, View
-from supple.viewer.panels.widgets import elided, hint, icon_button
+from supple.viewer.panels.widgets import elided, icon_button
 from supple.viewer.tools.keys import BRUSHES
 
 
@@ -21,7 +21,7 @@ class Action:
 
     text: str
     keys: str  # the keys that do the same, as `supple.viewer.tools.keys.KEYS` writes them
-    do: Callable[[View], object]
+    work: Callable[[View], object] | None = None  # by default, what its keys do
     able: Callable[[View], bool] = lambda view: True
     on: Callable[[View], bool] | None = None  # for a switch, whether it is on
     more: Callable[[View], str] | None = None  # what it would be applied to, in words
@@ -30,6 +30,15 @@ class Action:
         """Return the text, and what it would be applied to."""
         more = "" if self.more is None else self.more(view)
         return f"{self.text}: {more}" if more else self.text
+
+    def do(self, view: View) -> None:
+        """Do it, and draw what has changed."""
+        if self.work is not None:
+            self.work(view)
+        else:
+            *modifiers, key = self.keys.lower().replace("ctrl", "Control").split("+")
+            view.tools.press(_NAMES.get(key, key), *modifiers)
+        view.canvas.request_draw()
 
 
 def _undone(view: View) -> str:
@@ -59,14 +68,6 @@ def _asks(name: str) -> Callable[[View], None]:
     return lambda view: view.commands.ask(name)
 
 
-def _presses(key: str, *modifiers: str) -> Callable[[View], None]:
-    def press(view: View) -> None:
-        view.tools.press(key, *modifiers)
-        view.canvas.request_draw()
-
-    return press
-
-
 def copy_recipe(view: View) -> None:
     """Copy the recipe's JSON."""
     if view.copy_text is not None:
@@ -82,6 +83,7 @@ def _freezes(view: View) -> bool:
     return view.document.frozen is not None
 
 
+_NAMES = {"delete": "Delete", "f1": "F1"}  # of keys, in events
 ACTIONS: dict[str, Action] = {
     "open": Action("Open \u2026", "Ctrl+O", _asks("open")),
     "load mask": Action("Load the freeze mask \u2026", "", _asks("load mask")),
@@ -90,24 +92,15 @@ ACTIONS: dict[str, Action] = {
     "save as": Action("Save the recipe as \u2026", "Ctrl+Shift+S", _asks("save as")),
     "export": Action("Export \u2026", "Ctrl+E", _asks("export"), lambda view: view.source is not None),
     "copy": Action("Save this view \u2026", "", _asks("copy")),
-    "undo": Action(
-        "Undo", "Ctrl+Z", _edits(lambda view: view.document.undo()), lambda view: view.document.can_undo, more=_undone
-    ),
-    "redo": Action(
-        "Redo", "Ctrl+Y", _edits(lambda view: view.document.redo()), lambda view: view.document.can_redo, more=_redone
-    ),
+    "undo": Action("Undo", "Ctrl+Z", able=lambda view: view.document.can_undo, more=_undone),
+    "redo": Action("Redo", "Ctrl+Y", able=lambda view: view.document.can_redo, more=_redone),
     "restore": Action(
         "Restore all", "", _edits(lambda view: view.document.restore()), lambda view: bool(view.document.strokes)
     ),
-    "handles": Action("Handles", "Ctrl+H", _presses("h", "Control"), on=lambda view: not view.tools.bare),
-    "delete": Action("Delete the stroke", "Delete", _presses("Delete"), _chosen),
-    "hide": Action("Hide or show the stroke", "H", _presses("h"), _chosen),
-    "thaw all": Action(
-        "Thaw everything",
-        "",
-        _edits(lambda view: view.document.set_freeze(None)),
-        _freezes,
-    ),
+    "handles": Action("Handles", "Ctrl+H", on=lambda view: not view.tools.bare),
+    "delete": Action("Delete the stroke", "Delete", able=_chosen),
+    "hide": Action("Hide or show the stroke", "H", able=_chosen),
+    "thaw all": Action("Thaw everything", "", _edits(lambda view: view.document.set_freeze(None)), _freezes),
     "invert frozen": Action(
         "Invert what is frozen", "", _edits(lambda view: view.document.set_freeze(view.document.freeze.inverted))
     ),
@@ -118,11 +111,11 @@ ACTIONS: dict[str, Action] = {
         lambda view: show_original(view, not view.tools.original),
         on=lambda view: view.tools.original,
     ),
-    "split": Action("Before and after", "B", _presses("b"), on=lambda view: view.tools.split is not None),
-    "symmetry": Action("Symmetric strokes", "M", _presses("m"), on=lambda view: view.tools.symmetric),
-    "fit": Action("Fit the view", "0", _presses("0")),
-    "actual": Action("100 %", "1", _presses("1"), lambda view: view.stage.kind != "volume"),
-    "keys": Action("Keys and gestures", "F1", _presses("F1"), on=lambda view: view.tools.listing),
+    "split": Action("Before and after", "B", on=lambda view: view.tools.split is not None),
+    "symmetry": Action("Symmetric strokes", "M", on=lambda view: view.tools.symmetric),
+    "fit": Action("Fit the view", "0"),
+    "actual": Action("100 %", "1", able=lambda view: view.stage.kind != "volume"),
+    "keys": Action("Keys and gestures", "F1", on=lambda view: view.tools.listing),
 }
 
 
@@ -192,9 +185,9 @@ def strip(view: View) -> None:
     for brush, (key, what) in BRUSHES.items():
         if brush in view.tools.lacks:
             continue
-        if icon_button(f"brush {brush}", ICONS[brush], size, on=view.tools.brush == brush):
+        tip, on = f"{brush.capitalize()} ({key}): {what}", view.tools.brush == brush
+        if icon_button(f"brush {brush}", ICONS[brush], tip, size, on=on):
             view.tools.brush = brush
-        hint(f"{brush.capitalize()} ({key}): {what}")
     for group in GROUPS:
         _line()
         for name in group:
@@ -205,16 +198,18 @@ def strip(view: View) -> None:
 
 
 def _tool(view: View, name: str, size: float) -> None:
-    action = ACTIONS[name]
-    pressed = icon_button(name, ICONS[name], size, action.on is not None and action.on(view), action.able(view))
-    if name == "original":  # acts while it is held, as its key does
-        if imgui.is_item_activated() or imgui.is_item_deactivated():
-            show_original(view, imgui.is_item_activated())
-        hint(f"Hold to see the original ({action.keys})")
-        return
-    if pressed:
-        action.do(view)
-    hint(lambda: f"{action.says(view)} ({action.keys})")
+    action, held = ACTIONS[name], name == "original"  # which acts while it is held, as its key does
+
+    def tip() -> str:
+        return f"{'Hold to see the original' if held else action.says(view)} ({action.keys})"
+
+    on, able = action.on is not None and action.on(view), action.able(view)
+    pressed = icon_button(name, ICONS[name], tip, size, on=on, enabled=able)
+    if not held:
+        if pressed:
+            action.do(view)
+    elif imgui.is_item_activated() or imgui.is_item_deactivated():
+        show_original(view, imgui.is_item_activated())
 
 
 def _line() -> None:

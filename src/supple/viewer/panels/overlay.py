@@ -465,9 +465,9 @@ def _timeline(view: View, stage: VideoStage, below: float) -> None:
     playback = tools.playback
     width, height = view.area[0], view.logical[1]
     _begin_bar("timeline", height - below - view.bar, width, view.bar, (8, 8))
-    if icon_button("play", theme.PAUSE if playback.playing else theme.PLAY, imgui.get_frame_height()):
+    tip = "Pause (Space)" if playback.playing else "Play (Space)"
+    if icon_button("play", theme.PAUSE if playback.playing else theme.PLAY, tip):
         tools.press(" ")
-    hint("Pause (Space)" if playback.playing else "Play (Space)")
     imgui.same_line()
     last = stage.film.count - 1
     said = f"{playback.frame} / {last}   {playback.seconds:.2f} s"
@@ -488,9 +488,7 @@ def _timeline(view: View, stage: VideoStage, below: float) -> None:
     imgui.same_line(0, 12)
     imgui.text(said)
     imgui.same_line(width - imgui.get_frame_height() - imgui.calc_text_size("loop").x - 16)
-    changed, loop = imgui.checkbox("loop", playback.loop)
-    if changed:
-        playback.set_loop(loop)
+    _, playback.loop = imgui.checkbox("loop", playback.loop)
     hint("Play again and again (L)")
     if not view.document.timed:
         imgui.set_cursor_screen_pos((begin.x, end.y + 6))

@@ -21,19 +21,18 @@ from supple.viewer.panels import faces, registering, straightening, strokes, the
 from supple.viewer.panels.actions import ACTIONS
 from supple.viewer.panels.overlay import certified
 from supple.viewer.panels.stages import ImageStage
-from supple.viewer.panels.theme import CROSS
 from supple.viewer.panels.transforms import TRANSFORMS
 from supple.viewer.panels.view import STRIP, TOP, WIDE, View
 from supple.viewer.panels.widgets import (
-    REST,
+    button,
     choice,
     elided,
     hint,
     icon_button,
     label,
-    listing,
     primary,
     progress,
+    rows,
     section,
     slider,
     typed,
@@ -76,6 +75,7 @@ def panel(view: View) -> None:
     strokes.folds(view)
     _accuracy(view)
     _history(view)
+    strokes.end_drag(view)
     imgui.end_child()
     _files(view)
     _question(view)
@@ -179,19 +179,17 @@ def _exports(view: View, asked: Question) -> None:
         made["codec"] = text.strip() or None
     crf, form = (-1.0, "as usual") if clip.crf is None else (clip.crf, "%.1f")
     tip = "Lower is better, and larger: 18 for H.264; below 0 for what the codec usually has"
-    entered, number = typed(view, "CRF", crf, form, tip)
-    if entered:
+    if (number := typed(view, "CRF", crf, form, tip)) is not None:
         made["crf"] = number if 0 <= number < math.inf else None
-    entered, number = typed(view, "Keep ends", float(view.document.hold), "%.0f", _HOLD)
-    if entered and math.isfinite(number):
+    number = typed(view, "Keep ends", float(view.document.hold), "%.0f", _HOLD)
+    if number is not None and math.isfinite(number):
         view.attempt(partial(view.document.set_hold, round(number)))
     if view.document.timed:
         ways: dict[Any, str] = {None: "usual"} | {name: name for name in BETWEEN}
         made["between"] = choice("Between", clip.between, ways, _BETWEEN)
         length = view.stage.spacing[2] if clip.time_scale is None else clip.time_scale
         tip = "How many pixels a frame is long, for the brush: here, only in the export"
-        entered, number = typed(view, "Time scale", length, "%.2f", tip)
-        if entered:
+        if (number := typed(view, "Time scale", length, "%.2f", tip)) is not None:
             made["time_scale"] = number if 0 < number < math.inf else None
         label("Time filter", _FILTER)
         _, made["time_filter"] = imgui.checkbox("##time filter", clip.time_filter)
@@ -234,11 +232,7 @@ def _exporting(view: View, job: Task) -> None:
     hint(done if job.done else "At full quality, in the background: the file appears when it is complete")
     if job.done:
         imgui.same_line(imgui.get_window_width() - imgui.get_style().window_padding.x - size)
-        if icon_button("dismiss", CROSS, size):
-            view.commands.end_export()
-        hint("Close")
-        return
-    if progress(job):
+    if icon_button("dismiss", theme.CROSS, "Close") if job.done else progress(job):
         view.commands.end_export()
 
 
@@ -336,35 +330,23 @@ def _history(view: View) -> None:
     if not section(view, "History"):
         return
     document = view.document
-    steps, now = document.steps, document.step
-    row = imgui.get_text_line_height_with_spacing()
-    listing("history", len(steps), 7, row)
-    if view.reached != now:
-        view.reached = now
-        imgui.set_scroll_y(row * (now + 0.5) - 0.5 * imgui.get_window_height())
-    clipper = imgui.ListClipper()
-    clipper.begin(len(steps))
-    wide, compared = imgui.calc_text_size("A").x, document.compared_step
-    while clipper.step():
-        for k in range(clipper.display_start, clipper.display_end):
-            marked = k == compared
-            imgui.push_style_color(imgui.Col_.text, theme.TEXT if marked else theme.FAINT)
-            if imgui.selectable(f"A###mark {k}", marked, size=(wide, 0))[0] and not document.dragging:
-                view.attempt(partial(_compare, view, None if marked else k))
-            imgui.pop_style_color()
-            hint(_MARKED if marked else _MARK)
-            imgui.same_line()
-            name = steps[k].made_by if k else "Start"
-            imgui.push_style_color(imgui.Col_.text, theme.TEXT if k <= now else theme.FAINT)
-            if imgui.selectable(f"{name}###step {k}", k == now)[0] and not document.dragging:
-                view.attempt(partial(document.go, k))
-            imgui.pop_style_color()
-            hint("Click to go back to it" if k < now else "Click to go to it" if k > now else "What is seen now")
-    imgui.end_child()
-    if document.compared is not None:
-        if imgui.button("Compare with the original", (REST, 0)):
-            view.attempt(partial(_compare, view, None))
-        hint(_BACK)
+    steps, now, compared, wide = document.steps, document.step, document.compared_step, imgui.calc_text_size("A").x
+    for k in rows(view, "history", len(steps), 7, now, text=True):
+        marked = k == compared
+        imgui.push_style_color(imgui.Col_.text, theme.TEXT if marked else theme.FAINT)
+        if imgui.selectable(f"A###mark {k}", marked, size=(wide, 0))[0] and not document.dragging:
+            view.attempt(partial(_compare, view, None if marked else k))
+        imgui.pop_style_color()
+        hint(_MARKED if marked else _MARK)
+        imgui.same_line()
+        name = steps[k].made_by if k else "Start"
+        imgui.push_style_color(imgui.Col_.text, theme.TEXT if k <= now else theme.FAINT)
+        if imgui.selectable(f"{name}###step {k}", k == now)[0] and not document.dragging:
+            view.attempt(partial(document.go, k))
+        imgui.pop_style_color()
+        hint("Click to go back to it" if k < now else "Click to go to it" if k > now else "What is seen now")
+    if document.compared is not None and button("Compare with the original", tip=_BACK):
+        view.attempt(partial(_compare, view, None))
 
 
 def _compare(view: View, step: int | None) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import TypeVar
 
 from imgui_bundle import imgui
@@ -79,18 +79,31 @@ def primary(text: str, wide: float = REST) -> bool:
     return pressed
 
 
-def toggle(text: str, on: bool, wide: float) -> bool:
-    """Draw a button that shows whether it is on; return whether it was pressed."""
+def button(
+    text: str, wide: float = REST, tip: str | Callable[[], str] = "", *, on: bool = False, enabled: bool = True
+) -> bool:
+    """Draw a button, which may show that it is on; return whether it was pressed."""
+    imgui.begin_disabled(not enabled)
     if on:
         imgui.push_style_color(imgui.Col_.button, theme.PRIMARY)
     pressed = imgui.button(text, (wide, 0))
-    if on:
-        imgui.pop_style_color()
+    imgui.pop_style_color(int(on))
+    imgui.end_disabled()
+    hint(tip)
     return pressed
 
 
-def icon_button(name: str, icon: str, size: float, on: bool = False, enabled: bool = True) -> bool:
-    """Draw a button with an icon; return whether it was pressed."""
+def icon_button(
+    name: str,
+    icon: str,
+    tip: str | Callable[[], str],
+    size: float = 0.0,
+    *,
+    on: bool = False,
+    enabled: bool = True,
+) -> bool:
+    """Draw a button with an icon, by default as high as a field; return whether it was pressed."""
+    size = size or imgui.get_frame_height()
     imgui.begin_disabled(not enabled)
     pressed = imgui.invisible_button(name, (size, size))
     imgui.end_disabled()
@@ -102,7 +115,16 @@ def icon_button(name: str, icon: str, size: float, on: bool = False, enabled: bo
         lines.add_rect_filled((low.x, low.y), (high.x, high.y), theme.packed(ground), 6.0)
     colour = theme.packed((1.0, 1.0, 1.0, 1.0) if on else theme.TEXT, 1.0 if enabled else 0.3)
     theme.draw_icon(lines, icon, (0.5 * (low.x + high.x), 0.5 * (low.y + high.y)), round(0.5 * size), colour)
+    hint(tip)
     return bool(pressed)
+
+
+def eye(hidden: bool) -> bool:
+    """Draw the button that hides the item of a row, or shows it; return whether it was pressed."""
+    tip = "Hidden: click to show it" if hidden else "Seen: click to hide it"
+    pressed = icon_button("seen", theme.HIDDEN if hidden else theme.SEEN, tip)
+    imgui.same_line()
+    return pressed
 
 
 def progress(task: Task) -> bool:
@@ -161,22 +183,48 @@ def slider(
     return min(max(now / unit, low), high) if changed else value
 
 
-def listing(name: str, count: int, most: int, row: float) -> None:
-    """Begin a list of ``count`` rows, of height ``row``; at most ``most`` of them are visible at once."""
-    style = imgui.get_style()
+def rows(view: View, name: str, count: int, most: int, now: int | None = None, *, text: bool = False) -> Iterator[int]:
+    """Draw a list of ``count`` rows of fields, or of text; yield the index of each that is to be drawn.
+
+    At most ``most`` of them are visible at once. The list scrolls to row ``now`` when that has become another one.
+    """
+    row, style = (
+        (imgui.get_frame_height_with_spacing, imgui.get_text_line_height_with_spacing)[text](),
+        imgui.get_style(),
+    )
     height = row * max(min(count, most), 1) - style.item_spacing.y + 2 * style.frame_padding.y
     imgui.begin_child(name, (0, height), imgui.ChildFlags_.frame_style)
+    if view.listed.get(name) != now:
+        view.listed[name] = now
+        if now is not None:
+            imgui.set_scroll_y(row * (now + 0.5) - 0.5 * imgui.get_window_height())
+    clipper = imgui.ListClipper()
+    clipper.begin(count, row)
+    while clipper.step():
+        for i in range(clipper.display_start, clipper.display_end):
+            imgui.push_id(i)
+            yield i
+            imgui.pop_id()
+    imgui.end_child()
 
 
-def typed(view: View, name: str, value: float, form: str, tip: str = "") -> tuple[bool, float]:
-    """Draw a field for a number; return whether it is entered, by Enter or by leaving it, and the number."""
+def entry(text: str, on: bool, wide: float = 0.0) -> bool:
+    """Draw a text that can be clicked, as high as a field; return whether it was."""
+    imgui.push_style_var(imgui.StyleVar_.selectable_text_align, (0.0, 0.5))
+    pressed = imgui.selectable(text, on, size=(wide, imgui.get_frame_height()))[0]
+    imgui.pop_style_var()
+    return pressed
+
+
+def typed(view: View, name: str, value: float, form: str, tip: str = "") -> float | None:
+    """Draw a field for a number; return the number once it is entered, by Enter or by leaving the field."""
     name = _labelled(name, tip)
     changed, now = imgui.input_float(name, value, 0.0, 0.0, form)
     if changed:
         view.typed[name] = now
-    over = imgui.is_item_deactivated_after_edit() and name in view.typed
+    over = imgui.is_item_deactivated_after_edit()
     hint(tip)
-    return over, view.typed.pop(name) if over else value
+    return view.typed.pop(name, None) if over else None
 
 
 def hint(text: str | Callable[[], str], picture: Callable[[], None] | None = None) -> None:

@@ -315,7 +315,7 @@ class VideoTools(ImageTools):
             "i": playback.mark_in,
             "o": playback.mark_out,
             "u": playback.unmark,
-            "l": lambda: playback.set_loop(not playback.loop),
+            "l": lambda: setattr(playback, "loop", not playback.loop),
             "j": lambda: self.go_to_key(-1),
             "k": lambda: self.go_to_key(1),
         }
