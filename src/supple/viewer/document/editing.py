@@ -91,7 +91,7 @@ class Track:
     """A visible stroke on screen: shown at its full drag, even if the recipe applies a fraction of it."""
 
     stroke: Stroke
-    handles: tuple[Handle, ...]
+    handles: tuple[Handle, ...]  # its points, and the first one's position after it; targets for others
     wanted: Point | None  # the target of its first point, if it misses that
 
     @classmethod
@@ -99,13 +99,8 @@ class Track:
         """Return the last stroke of a deformation, which applies a stroke of the recipe."""
         applied, arrival = made.strokes[-1], made.arrival(len(made.strokes) - 1)
         seen = stroke if applied is stroke else replace(applied, strength=stroke.strength)
-        (at, _), *others = handles_of(seen)
-        return cls(seen, ((at, arrival.arrived), *others), arrival.target if arrival.miss > NEAR else None)
-
-
-def handles_of(stroke: Stroke) -> tuple[Handle, ...]:
-    """Return the points of a stroke, and their targets."""
-    return tuple((at, tuple(a + b for a, b in zip(at, by, strict=True))) for at, by in stroke.handles)
+        others = ((at, tuple(a + b for a, b in zip(at, by, strict=True))) for at, by in seen.handles[1:])
+        return cls(seen, ((seen.at, arrival.arrived), *others), arrival.target if arrival.miss > NEAR else None)
 
 
 @dataclass(frozen=True, slots=True)
@@ -314,14 +309,6 @@ class Document:
         arrival = self.arrival(i)
         found = [] if arrival is None else [each.carried_by for each in (arrival, *arrival.also)]
         return next((self._now.visible[k][0] for k in found if k is not None), None)
-
-    def handles(self, i: int) -> tuple[Handle, ...]:
-        """Return the points of a stroke, and the first one's position after it; targets for others, or if it is hidden.
-
-        The point of a twist, a scale or a pinch stays where it is.
-        """
-        known = self._nth(i)
-        return handles_of(self.strokes[i]) if known is None else self._now.tracks[known].handles
 
     def tracks(self) -> list[tuple[int, Track]]:
         """Return the strokes that have handles on screen, and their indices; hidden strokes have none.

@@ -6,12 +6,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 
-from imgui_bundle import imgui
+from imgui_bundle import imgui, imgui_ctx
 
 from supple.viewer.panels import theme
 from supple.viewer.panels.theme import ICONS
 from supple.viewer.panels.view import STRIP, TOP, WIDE, View
-from supple.viewer.panels.widgets import elided, icon_button
+from supple.viewer.panels.widgets import elided, icon_button, pinned
 from supple.viewer.tools.keys import BRUSHES
 
 
@@ -172,14 +172,14 @@ _GAP = 13.0  # logical pixels between groups
 def strip(view: View) -> None:
     """Draw the strip of tools."""
     width, height = view.logical
-    flags = imgui.WindowFlags_.no_decoration | imgui.WindowFlags_.no_move
-    imgui.set_next_window_pos((width - WIDE, TOP))
-    imgui.set_next_window_size((STRIP, height - TOP))
-    imgui.push_style_var(imgui.StyleVar_.window_padding, (6, 8))
-    imgui.push_style_var(imgui.StyleVar_.window_rounding, 0.0)
-    imgui.push_style_var(imgui.StyleVar_.item_spacing, (0, 2))
-    imgui.push_style_color(imgui.Col_.window_bg, theme.RAIL)
-    imgui.begin("tools", None, flags | imgui.WindowFlags_.no_bring_to_front_on_focus)
+    with (
+        imgui_ctx.push_style_var(imgui.StyleVar_.item_spacing, (0, 2)),
+        pinned("tools", (width - WIDE, TOP), (STRIP, height - TOP), (6, 8)),
+    ):
+        _tools(view, height)
+
+
+def _tools(view: View, height: float) -> None:
     count = len(BRUSHES) + sum(map(len, GROUPS))
     size = max(min(STRIP - 12.0, (height - TOP - 18 - len(GROUPS) * _GAP) / count - 2), 7.0)  # all fit in a low window
     for brush, (key, what) in BRUSHES.items():
@@ -192,9 +192,6 @@ def strip(view: View) -> None:
         _line()
         for name in group:
             _tool(view, name, size)
-    imgui.end()
-    imgui.pop_style_color()
-    imgui.pop_style_var(3)
 
 
 def _tool(view: View, name: str, size: float) -> None:

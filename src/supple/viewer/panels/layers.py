@@ -15,7 +15,7 @@ from supple.deformation import Deformation
 from supple.engine.sampling import Sampling
 from supple.errors import SuppleError
 from supple.fields import Placed
-from supple.files.volumes import background_of
+from supple.files.volumes import background_of, least_of
 from supple.media.volume import Volume
 from supple.media.volume.data import rescaled
 from supple.render.labels import LabelColours, labels_in
@@ -74,7 +74,9 @@ class Layer:
 
     def __init__(self, volume: Volume, registration: Registration | None = None, *, labels: bool = False) -> None:
         self._samples = volume.samples[0] if volume.series else volume.samples
-        self._scaling, self._labels, self._range = volume.scaling, labels, range_of(self._samples)
+        self._scaling, self._labels, some = volume.scaling, labels, self._samples
+        floats = some.dtype.kind == "f"
+        self._range = (least_of(some), -least_of(some, -1)) if floats else (some.min(), some.max())
         self._registration, self._own = registration, volume.grid
         self._volume = volume
         self._planes: dict[int, list[tuple[Deformation | None, int, Grid | None, Array]]] = {}  # two of each axis
@@ -118,18 +120,6 @@ class Layer:
         if not self._labels:
             np.clip(raw, *self._range, out=raw, where=np.isfinite(raw))  # as exports are clamped
         return raw
-
-
-def range_of(samples: Array) -> tuple[Any, Any]:
-    """Return the least and the largest finite value; infinities if there is none."""
-    if samples.dtype.kind != "f":
-        return samples.min(), samples.max()
-    low, high = np.inf, -np.inf
-    for slab in samples:
-        known = slab[np.isfinite(slab)]
-        if known.size:
-            low, high = min(low, known.min()), max(high, known.max())
-    return (low, high) if low <= high else (-np.inf, np.inf)
 
 
 def segmentation_of(volume: Volume, table: LabelColours | None) -> Segmentation:

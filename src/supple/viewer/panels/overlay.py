@@ -23,7 +23,7 @@ from supple.viewer.document.words import done, named
 from supple.viewer.panels import keyframes, landmarks, straightening, theme
 from supple.viewer.panels.stages import VideoStage, VolumeStage
 from supple.viewer.panels.view import COMPUTING, LANE, LINE, TOP, View
-from supple.viewer.panels.widgets import hint, icon_button, wrapped
+from supple.viewer.panels.widgets import hint, icon_button, pinned, wrapped
 from supple.viewer.tools.brushes import ImageTools, VideoTools
 from supple.viewer.tools.drawing import Pair, Place, Point
 from supple.viewer.tools.planes import FIXED, RENDERED, Pane
@@ -342,13 +342,6 @@ def _cube(tools: VolumeTools, lines: imgui.ImDrawList) -> None:
 
 
 _USUAL = ClipOptions()
-_BARE = (
-    imgui.WindowFlags_.no_title_bar
-    | imgui.WindowFlags_.no_resize
-    | imgui.WindowFlags_.no_move
-    | imgui.WindowFlags_.no_scrollbar
-    | imgui.WindowFlags_.no_bring_to_front_on_focus
-)
 
 
 def draw(view: View) -> None:
@@ -433,11 +426,12 @@ def bars(view: View) -> None:
     """Draw the timeline and the status line, which covers some of the picture if it has several lines."""
     said = status(view)
     high = LINE + imgui.calc_text_size(said, wrap_width=view.area[0] - 16).y - imgui.get_text_line_height()
+    (wide, _), (_, below) = view.area, view.logical
     if isinstance(view.stage, VideoStage):
-        _timeline(view, view.stage, high)
-    _begin_bar("status", view.logical[1] - high, view.area[0], high, (8, 3))
-    wrapped(said, colour=theme.TEXT)
-    _end_bar()
+        with pinned("timeline", (0, below - high - view.bar), (wide, view.bar), (8, 8)):
+            _timeline(view, view.stage)
+    with pinned("status", (0, below - high), (wide, high), (8, 3)):
+        wrapped(said, colour=theme.TEXT)
 
 
 def _handles(view: View, lines: imgui.ImDrawList) -> None:
@@ -459,12 +453,10 @@ def _handles(view: View, lines: imgui.ImDrawList) -> None:
     strokes(view, lines, placed, there, ball)
 
 
-def _timeline(view: View, stage: VideoStage, below: float) -> None:
+def _timeline(view: View, stage: VideoStage) -> None:
     tools = view.tools
     assert isinstance(tools, VideoTools)
-    playback = tools.playback
-    width, height = view.area[0], view.logical[1]
-    _begin_bar("timeline", height - below - view.bar, width, view.bar, (8, 8))
+    playback, width = tools.playback, view.area[0]
     tip = "Pause (Space)" if playback.playing else "Play (Space)"
     if icon_button("play", theme.PAUSE if playback.playing else theme.PLAY, tip):
         tools.press(" ")
@@ -493,22 +485,6 @@ def _timeline(view: View, stage: VideoStage, below: float) -> None:
     if not view.document.timed:
         imgui.set_cursor_screen_pos((begin.x, end.y + 6))
         keyframes.lane(view, tools, (end.x - begin.x, LANE - 6))
-    _end_bar()
-
-
-def _begin_bar(name: str, top: float, wide: float, high: float, padding: Pair) -> None:
-    imgui.set_next_window_pos((0, top))
-    imgui.set_next_window_size((wide, high))
-    imgui.push_style_var(imgui.StyleVar_.window_padding, padding)
-    imgui.push_style_var(imgui.StyleVar_.window_rounding, 0.0)
-    imgui.push_style_color(imgui.Col_.window_bg, theme.RAIL)
-    imgui.begin(name, None, _BARE)
-
-
-def _end_bar() -> None:
-    imgui.end()
-    imgui.pop_style_color()
-    imgui.pop_style_var(2)
 
 
 def _marked(playback: Playback) -> None:

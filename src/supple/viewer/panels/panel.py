@@ -30,6 +30,7 @@ from supple.viewer.panels.widgets import (
     hint,
     icon_button,
     label,
+    pinned,
     primary,
     progress,
     rows,
@@ -42,23 +43,16 @@ from supple.viewer.tools.keys import KEYS
 
 _FOOT = 56.0  # logical pixels of the file commands
 _EXPORTING, _DONE = 60.0, 30.0  # and of an export's progress, and of its end
-_FLAGS = (
-    imgui.WindowFlags_.no_move
-    | imgui.WindowFlags_.no_resize
-    | imgui.WindowFlags_.no_collapse
-    | imgui.WindowFlags_.no_title_bar
-    | imgui.WindowFlags_.no_bring_to_front_on_focus
-)
 
 
 def panel(view: View) -> None:
     """Draw the panel."""
     width, height = view.logical
-    imgui.set_next_window_pos((width - WIDE + STRIP, TOP))
-    imgui.set_next_window_size((WIDE - STRIP, height - TOP))
-    imgui.push_style_var(imgui.StyleVar_.window_rounding, 0.0)
-    imgui.begin("panel", None, _FLAGS | imgui.WindowFlags_.no_scrollbar)
-    imgui.pop_style_var()
+    with pinned("panel", (width - WIDE + STRIP, TOP), (WIDE - STRIP, height - TOP), ground=theme.GROUND):
+        _parts(view)
+
+
+def _parts(view: View) -> None:
     job = view.commands.export
     foot = _FOOT + (0.0 if job is None else _DONE if job.done else _EXPORTING)
     wide = imgui.get_content_region_avail().x
@@ -79,7 +73,6 @@ def panel(view: View) -> None:
     imgui.end_child()
     _files(view)
     _question(view)
-    imgui.end()
 
 
 def _seeing(view: View) -> None:
@@ -246,8 +239,9 @@ def _question(view: View) -> None:
     imgui.set_next_window_pos((width / 2, height / 2), imgui.Cond_.always, (0.5, 0.5))
     imgui.push_style_var(imgui.StyleVar_.window_padding, (16, 14))
     imgui.push_style_var(imgui.StyleVar_.frame_padding, (16, 9))  # of the title
+    imgui.push_style_var(imgui.StyleVar_.window_rounding, 6.0)
     shown = imgui.begin_popup_modal(asked.title, None, imgui.WindowFlags_.always_auto_resize)[0]
-    imgui.pop_style_var(2)
+    imgui.pop_style_var(3)
     if not shown:
         return
     wide = max(min(460.0, width - 60), 80.0)

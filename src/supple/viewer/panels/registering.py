@@ -61,7 +61,7 @@ def _comparison(view: View, tools: VolumeTools, known: Comparison) -> None:
         tools.compare(mode)
         view.refresh()
     if known.mode in SHARES:
-        said, tip, low, high, form = SHARES[known.mode]
+        _, said, tip, low, high, form = SHARES[known.mode]
         share = slider(said, known.shares[known.mode], low, high, form, tip)
         if share != known.shares[known.mode]:
             known.shares[known.mode] = share

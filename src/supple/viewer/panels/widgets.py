@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Callable, Iterator, Mapping
 from typing import TypeVar
@@ -12,6 +13,7 @@ from supple.viewer.document.background import Task
 from supple.viewer.document.settings import keep
 from supple.viewer.panels import theme
 from supple.viewer.panels.view import View
+from supple.viewer.tools.drawing import Pair
 
 LABEL = 104.0  # logical pixels of the labels before fields
 _RESTING = int(imgui.HoveredFlags_.delay_short | imgui.HoveredFlags_.allow_when_disabled)
@@ -38,6 +40,24 @@ def section(view: View, name: str, text: str = "", *, shown: bool = False) -> bo
         view.sections[name] = now
         keep(sections=view.sections)
     return now
+
+
+@contextlib.contextmanager
+def pinned(
+    name: str, place: Pair, size: Pair, padding: Pair = (12, 8), ground: theme.Colour = theme.RAIL
+) -> Iterator[None]:
+    """Draw the controls of the block in a part of the window that stays where it is."""
+    imgui.set_next_window_pos(place)
+    imgui.set_next_window_size(size)
+    imgui.push_style_var(imgui.StyleVar_.window_padding, padding)
+    imgui.push_style_var(imgui.StyleVar_.window_rounding, 0.0)
+    imgui.push_style_color(imgui.Col_.window_bg, ground)
+    flags = imgui.WindowFlags_.no_decoration | imgui.WindowFlags_.no_move
+    imgui.begin(name, None, flags | imgui.WindowFlags_.no_bring_to_front_on_focus)
+    yield
+    imgui.end()
+    imgui.pop_style_color()
+    imgui.pop_style_var(2)
 
 
 def label(text: str, tip: str = "", picture: Callable[[], None] | None = None) -> None:

@@ -160,8 +160,13 @@ class ImageTools(Tools[Viewport]):
         point, other = self.view.to_image(*place), 1 - self.across
         return point[self.across] - self.lean * (point[other] - self.mirror(2)[0][other])
 
-    def _tilted(self, place: Pair, about: Pair) -> None:
-        """Tilt the line of symmetry about a place of the canvas, or set it upright if it nearly is."""
+    @property
+    def _knobs(self) -> dict[Callable[[Lead[Viewport]], None], Pair | None]:
+        return {**super()._knobs, self._tilt: self.tilt}
+
+    def _tilt(self, lead: Lead[Viewport]) -> None:
+        """Tilt the line of symmetry about its lower knob, or set it upright if it nearly is."""
+        place, about = (lead.now[0], lead.start[1]), self._on_axis(sum(self.place[1::2]) - GRIP)
         across, other, p, q = self.across, 1 - self.across, self.view.to_image(*place), self.view.to_image(*about)
         self.lean, self.middle = 0.0, q[across]
         if abs(self._on_axis(place[1])[0] - place[0]) >= CLICK:

@@ -150,9 +150,9 @@ class Tools(Drawing, Generic[V]):
         """The position of the knob of the line of symmetry in the view under the pointer; None where it has none."""
 
     @property
-    def tilt(self) -> Pair | None:
-        """The position of the knob that tilts that line; None where it stays upright."""
-        return None
+    def _knobs(self) -> dict[Callable[[Lead[V]], None], Pair | None]:
+        """The positions of the knobs in the view under the pointer, and what a drag of each does."""
+        return {self._cut: self.knob, self._lay: self.grip}
 
     @property
     def _beside(self) -> Callable[[Lead[V]], None]:
@@ -174,9 +174,6 @@ class Tools(Drawing, Generic[V]):
     @abstractmethod
     def _level(self, place: Pair) -> float:
         """Return the coordinate, along the axis across the line of symmetry, of a position of the canvas."""
-
-    def _tilted(self, place: Pair, about: Pair) -> None:
-        """Tilt the line of symmetry, so that it goes through two places of the canvas."""
 
     @abstractmethod
     def _leads(self, event: Event) -> Callable[[Lead[V]], None] | None:
@@ -201,8 +198,8 @@ class Tools(Drawing, Generic[V]):
         button = int(event.get("button", 0))
         follow = self._leads(event)
         if follow is None and button == _LEFT:
-            knobs = (self._cut, self.knob), (self._lay, self.grip), (self._tilt, self.tilt)
-            follow = next((what for what, at in knobs if at and math.dist(at, (x, y)) <= KNOB), None)
+            near = (what for what, at in self._knobs.items() if at and math.dist(at, (x, y)) <= KNOB)
+            follow = next(near, None)
         if follow is None and button == _LEFT:
             self._gesture = self._taken(x, y)
             self._press(self._gesture, event)
@@ -276,10 +273,6 @@ class Tools(Drawing, Generic[V]):
         left, _, width, _ = self.place
         self.split = min(max((lead.now[0] - left) / width, 0.0), 1.0)
 
-    def _tilt(self, lead: Lead[V]) -> None:
-        if self.grip is not None:
-            self._tilted((lead.now[0], lead.start[1]), self.grip)
-
     def _size(self, lead: Lead[V]) -> None:
         radius, ring = self._sized  # the ring follows the pointer
         self.radius = radius * max(1 + lead.gone[0] / ring, 0.0)
@@ -329,7 +322,7 @@ class Tools(Drawing, Generic[V]):
 
     def _let_go(self, lead: Lead[V]) -> bool:
         """End a drag of the left button; return whether it was more than a click."""
-        return lead.moved or lead.follow in (self._cut, self._lay, self._tilt)
+        return lead.moved or lead.follow in self._knobs
 
     def _on_wheel(self, event: Event) -> bool:
         amount = float(event.get("dy", 0.0))
