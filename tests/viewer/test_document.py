@@ -186,7 +186,7 @@ class TestRefusals:
         d = Document(SHAPE, recipe=Recipe(on_fold="damp", strokes=(STRONG,)))
         with pytest.raises(FoldError):
             d.set_rest(on_fold="error")
-        assert d.state.on_fold == "damp"
+        assert d.state.rest.on_fold == "damp"
         d.hide(0)
         d.set_rest(on_fold="error")
         with pytest.raises(FoldError):
@@ -228,8 +228,7 @@ class TestFolds:
         assert 60 < third.arrived[0] < 240
         assert d.deformation.warnings[0] is None
         assert "damped to" in (d.deformation.warnings[1] or "")  # the second is hidden
-        assert d.handles(2) == (((60, 50), third.arrived),)
-        assert d.handles(1) == (((60, 50), (260, 46)),)
+        assert d.tracks()[-1][1].handles == (((60, 50), third.arrived),)
         assert not recwarn.list
         d.hide(1, False)
         assert d.arrival(1) is not None
@@ -390,7 +389,7 @@ class TestRecipes:
         d = Document(SHAPE, recipe=recipe)
         same(d)
         assert d.deformation.strokes[0].by == (5, 0)
-        assert d.handles(1)[0][0] == d.deformation.strokes[1].at != (82, 50)
+        assert d.tracks()[1][1].handles[0][0] == d.deformation.strokes[1].at != (82, 50)
         drawn = stroke(70, 66, 6, 3)
         d.begin_drag()
         assert d.preview(drawn)

@@ -135,7 +135,7 @@ class TestPaths:
         stroke = tools.document.strokes[0]
         assert (stroke.at, stroke.by) == ((110, 55), (10, 30.5))
         assert stroke.path == ((120, 55), (130, 65), (130, 75), (120, 85))
-        end = tools.view.to_canvas(*tools.document.handles(0)[0][1])
+        end = tools.view.to_canvas(*tools.document.tracks()[0][1].handles[0][1])
         drag(tools, end, (end[0] + 20, end[1]))
         assert tools.document.strokes[0].path == stroke.path
         assert tools.document.strokes[0].by == pytest.approx((20, 30.5))

@@ -189,7 +189,7 @@ class TestOrbit:
         x, y, away = STAGE.project(camera, target) or (0, 0, 0)
         moved = orbit.pan(camera, 5, -3, STAGE)
         assert STAGE.project(moved, target) == pytest.approx((x + 5, y - 3, away), abs=0.1)
-        assert STAGE.distance(moved) == pytest.approx(STAGE.distance(camera))
+        assert STAGE.view(moved).distance == pytest.approx(STAGE.view(camera).distance)
 
     def test_never_looks_past_the_volume(self) -> None:
         camera = orbit.pan(Camera(), 1e6, 1e6, STAGE)
@@ -197,12 +197,12 @@ class TestOrbit:
         assert all(0 <= t <= n - 1 for t, n in zip(camera.target, (50, 60, 40), strict=True))
 
     def test_goes_nearer_and_away(self) -> None:
-        fitted = STAGE.distance(Camera())
-        assert STAGE.distance(orbit.dolly(Camera(), 100, STAGE)) == pytest.approx(fitted * 1.1)
+        fitted = STAGE.view(Camera()).distance
+        assert STAGE.view(orbit.dolly(Camera(), 100, STAGE)).distance == pytest.approx(fitted * 1.1)
         two = orbit.dolly(orbit.dolly(Camera(), -100, STAGE), -150, STAGE)
-        assert STAGE.distance(two) == pytest.approx(STAGE.distance(orbit.dolly(Camera(), -250, STAGE)))
-        assert STAGE.distance(orbit.dolly(Camera(), -1e5, STAGE)) == 1
-        assert STAGE.distance(orbit.dolly(Camera(), 1e4, STAGE)) == pytest.approx(10 * fitted)
+        assert STAGE.view(two).distance == pytest.approx(STAGE.view(orbit.dolly(Camera(), -250, STAGE)).distance)
+        assert STAGE.view(orbit.dolly(Camera(), -1e5, STAGE)).distance == 1
+        assert STAGE.view(orbit.dolly(Camera(), 1e4, STAGE)).distance == pytest.approx(10 * fitted)
 
 
 class TestPlayback:
@@ -221,7 +221,7 @@ class TestPlayback:
         assert not clip.playing
         assert clip.seconds == 1.7
         # Over and over, the last one lasts as long as the one before; and in a part of it.
-        clip.set_loop(True)
+        clip.loop = True
         clip.play()
         clip.seek(3)
         assert [clip.frame_at(9 + t) for t in (0, 0.9, 1.0, 1.9, 2.0, 2.1, 2.6)] == [3, 3, 4, 4, 0, 1, 2]
@@ -233,7 +233,7 @@ class TestPlayback:
         assert [clip.frame_at(20 + t) for t in (0, 0.4, 0.55, 0.61, 1.0, 1.15)] == [1, 1, 2, 1, 1, 2]
         # Frames that last for nothing are no reason to stop.
         clip = Playback(3, 10, (0.0, 0.5, 0.5))
-        clip.set_loop(True)
+        clip.loop = True
         clip.seek(2)
         clip.mark_in()
         clip.play()
@@ -259,7 +259,7 @@ class TestPlayback:
 
     def test_loops(self) -> None:
         clip = Playback(5, 10)
-        clip.set_loop(True)
+        clip.loop = True
         clip.play()
         assert [clip.frame_at(k / 10) for k in range(12)] == [0, 1, 2, 3, 4, 0, 1, 2, 3, 4, 0, 1]
         assert clip.frame_at(100.3) == 3
@@ -275,7 +275,7 @@ class TestPlayback:
         assert (clip.frame_at(200), clip.frame_at(200.1)) == (10, 11)
         clip.seek(30)
         assert (clip.frame_at(300), clip.frame_at(300.2)) == (30, 32)
-        clip.set_loop(True)
+        clip.loop = True
         assert (clip.frame_at(300.3), clip.frame_at(300.4)) == (32, 33)
 
     def test_seeks_within_the_clip(self) -> None:
@@ -295,7 +295,7 @@ class TestPlayback:
         clip.seek(6)
         clip.mark_out()
         clip.seek(9)
-        clip.set_loop(True)
+        clip.loop = True
         clip.play()
         assert [clip.frame_at(k / 10) for k in range(6)] == [3, 4, 5, 6, 3, 4]
         clip.pause()
@@ -318,6 +318,6 @@ class TestPlayback:
     def test_one_frame(self) -> None:
         clip = Playback(1, 24)
         for loop in (False, True):
-            clip.set_loop(loop)
+            clip.loop = loop
             clip.play()
             assert (clip.frame_at(0), clip.frame_at(5)) == (0, 0)

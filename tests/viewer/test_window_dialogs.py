@@ -24,10 +24,13 @@ class Dialog:
         self.says: str | None = None
         self.closed = False
 
-    def answer(self) -> str | None:
+    def ready(self, timeout: int) -> bool:
+        return self.says is not None
+
+    def result(self) -> str | None:
         return self.says
 
-    def close(self) -> None:
+    def kill(self) -> None:
         self.closed = True
 
 
@@ -150,12 +153,12 @@ for name in ("save", "open"):
     found, looks, longest = None, 0, 0.0
     while found is None:
         began = time.monotonic()
-        found = dialog.answer()
+        found = dialog.result() if dialog.ready(0) else None
         longest, looks = max(longest, time.monotonic() - began), looks + 1
         time.sleep(0.01)
-    print(name, found, looks > 5, longest < 0.1)
+    print(name, *([found] if isinstance(found, str) else found), looks > 5, longest < 0.1)
 dialog = chooser()(Question("open", "A title", "", ("Open", "Cancel"), path="/tmp/some/a.json"))
-dialog.close()
+dialog.kill()
 """
 
 

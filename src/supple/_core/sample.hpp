@@ -222,7 +222,6 @@ struct Prints {
     void find(const Row<D>& __restrict row, int filter) __restrict;
 
 private:
-    static constexpr int SOME = 8;  // pixels computed at once
     template <int D>
     void find_spots(const Row<D>& __restrict row, int from) __restrict;
 };

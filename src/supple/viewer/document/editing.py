@@ -20,7 +20,7 @@ from supple.space.domain import Domain
 from supple.space.freezing import Freeze
 from supple.space.geometry import Geometry
 from supple.space.straighten import Straighten
-from supple.strokes import CoordinateSpace, FoldPolicy, Recipe, Stroke, last_freeze, spoken
+from supple.strokes import CoordinateSpace, Recipe, Stroke, last_freeze, spoken
 from supple.viewer.document import words
 from supple.viewer.document.keyframes import animated, edited
 from supple.viewer.document.landmarks import Landmarks
@@ -43,13 +43,7 @@ class State:
     rest: Recipe = _EMPTY  # the recipe's other options
     selected: int | None = None
     made_by: str = field(default="", compare=False)  # the step that led here, in words
-    marks: Landmarks | None = None  # the landmarks of a volume
-
-    @classmethod
-    def of(cls, recipe: Recipe, space: CoordinateSpace | None = None) -> Self:
-        """Return the state of a recipe of samples, with nothing selected, and its space for saving."""
-        rest = replace(recipe, strokes=(), size=None, space=space, time_scale=None)
-        return cls(recipe.strokes, rest, made_by="Open a recipe")
+    marks: Landmarks | None = None  # the landmarks of a volume, perhaps none yet; None if there cannot be any
 
     @property
     def recipe(self) -> Recipe:
@@ -57,23 +51,9 @@ class State:
         return replace(self.rest, space=None, strokes=self.strokes)
 
     @property
-    def on_fold(self) -> FoldPolicy:
-        """The policy for strokes that would fold the image."""
-        return self.rest.on_fold
-
-    @property
     def mask(self) -> Freeze | None:
         """The freeze mask that the next stroke is subject to."""
         return last_freeze(self.strokes) or self.rest.freeze
-
-    @property
-    def without_freeze(self) -> Self:
-        """The state without a freeze at the end of the list."""
-        last = self.strokes[-1] if self.strokes else None
-        if last is None or last.brush != "freeze" or last.hidden:
-            return self
-        count = len(self.strokes) - 1
-        return replace(self, strokes=self.strokes[:-1], selected=None if self.selected == count else self.selected)
 
     def with_stroke(self, i: int, stroke: Stroke) -> Self:
         """Return a state with a stroke replaced."""
@@ -91,7 +71,7 @@ class Track:
     """A visible stroke on screen: shown at its full drag, even if the recipe applies a fraction of it."""
 
     stroke: Stroke
-    handles: tuple[Handle, ...]
+    handles: tuple[Handle, ...]  # its points, and the first one's position after it; targets for others
     wanted: Point | None  # the target of its first point, if it misses that
 
     @classmethod
@@ -99,13 +79,8 @@ class Track:
         """Return the last stroke of a deformation, which applies a stroke of the recipe."""
         applied, arrival = made.strokes[-1], made.arrival(len(made.strokes) - 1)
         seen = stroke if applied is stroke else replace(applied, strength=stroke.strength)
-        (at, _), *others = handles_of(seen)
-        return cls(seen, ((at, arrival.arrived), *others), arrival.target if arrival.miss > NEAR else None)
-
-
-def handles_of(stroke: Stroke) -> tuple[Handle, ...]:
-    """Return the points of a stroke, and their targets."""
-    return tuple((at, tuple(a + b for a, b in zip(at, by, strict=True))) for at, by in stroke.handles)
+        others = ((at, tuple(a + b for a, b in zip(at, by, strict=True))) for at, by in seen.handles[1:])
+        return cls(seen, ((seen.at, arrival.arrived), *others), arrival.target if arrival.miss > NEAR else None)
 
 
 @dataclass(frozen=True, slots=True)
@@ -200,11 +175,6 @@ class Document:
     def strokes(self) -> tuple[Stroke, ...]:
         """The strokes, with the hidden ones."""
         return self._now.state.strokes
-
-    @property
-    def marks(self) -> Landmarks | None:
-        """The landmarks of a volume, perhaps none yet; None if the document cannot have landmarks."""
-        return self._now.state.marks
 
     @property
     def selected(self) -> int | None:
@@ -315,14 +285,6 @@ class Document:
         found = [] if arrival is None else [each.carried_by for each in (arrival, *arrival.also)]
         return next((self._now.visible[k][0] for k in found if k is not None), None)
 
-    def handles(self, i: int) -> tuple[Handle, ...]:
-        """Return the points of a stroke, and the first one's position after it; targets for others, or if it is hidden.
-
-        The point of a twist, a scale or a pinch stays where it is.
-        """
-        known = self._nth(i)
-        return handles_of(self.strokes[i]) if known is None else self._now.tracks[known].handles
-
     def tracks(self) -> list[tuple[int, Track]]:
         """Return the strokes that have handles on screen, and their indices; hidden strokes have none.
 
@@ -413,7 +375,10 @@ class Document:
 
         Before the first stroke, it is the freeze mask of the recipe. A mask that freezes nothing counts as None.
         """
-        state = replace(self.state.without_freeze, made_by=words.freezing(self.state.mask, freeze))
+        state = replace(self.state, made_by=words.freezing(self.state.mask, freeze))
+        if state.strokes and state.strokes[-1].brush == "freeze" and not state.strokes[-1].hidden:
+            selected = None if state.selected == len(state.strokes) - 1 else state.selected
+            state = replace(state, strokes=state.strokes[:-1], selected=selected)
         mask = None if freeze is None or freeze.is_free else freeze
         if not state.strokes:
             self._edit(replace(state, rest=replace(state.rest, freeze=mask)))
@@ -449,7 +414,9 @@ class Document:
         self._show(replace(self._now, state=self.steps[self.step]))
 
     def _state(self, recipe: Recipe) -> State:
-        return State.of(self.fitted(recipe), recipe.space if recipe.is_world else None)
+        fitted, space = self.fitted(recipe), recipe.space if recipe.is_world else None
+        rest = replace(fitted, strokes=(), size=None, space=space, time_scale=None)
+        return State(fitted.strokes, rest, made_by="Open a recipe")
 
     def fitted(self, recipe: Recipe) -> Recipe:
         """Return a recipe in samples of this medium, scaled if its size differs; SuppleError if it does not fit."""

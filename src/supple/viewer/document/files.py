@@ -14,7 +14,7 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import IO, Any, Protocol
+from typing import IO, Any, Protocol, cast
 
 from supple.errors import SuppleError, facing, shown
 from supple.files import Job
@@ -200,7 +200,7 @@ class Question:
     text: str
     choices: tuple[str, ...]  # the first is the default for Enter; "Cancel" does nothing
     path: str | None = None  # a file name that can be edited
-    opens: PathLike = ""  # a file name that cannot
+    then: Callable[[str], object] | None = None  # what is done with a choice, for questions without a file name
     problem: str = ""
     fresh: bool = True  # not drawn yet
     agreed: str | None = None  # a file name that may be replaced, since a dialog of the system has asked
@@ -211,16 +211,6 @@ class Question:
         path = self.path or ""
         there = "%" in path or os.path.exists(path)  # a pattern of frames may name some that are there
         return tuple(choice for choice in self.choices if there or not choice.startswith("Replace"))
-
-
-class Dialog(Protocol):
-    """A dialog of the system for a file, which is open beside the window."""
-
-    def answer(self) -> str | None:
-        """Return the file, "" for none, or None while the dialog is open."""
-
-    def close(self) -> None:
-        """Close the dialog."""
 
 
 @dataclass(eq=False)
@@ -236,8 +226,8 @@ class FileCommands:
     def __post_init__(self) -> None:
         self.message = ""  # the text of the status line
         self.asked: Question | None = None
-        self.choose: Callable[[Question], Dialog] | None = None  # opens a dialog of the system, where there is one
-        self.choosing: tuple[Question, Dialog, float] | None = None  # the open dialog of a question, and since when
+        self.choose: Callable[[Question], Any] | None = None  # opens a dialog of `portable_file_dialogs`, where it can
+        self.choosing: tuple[Question, Any, float] | None = None  # the open dialog of a question, and since when
         self.windows = True  # whether another window can be opened
         self.beside: list[subprocess.Popen[bytes]] = []  # other windows that were opened here
         self.export: Task | None = None
@@ -245,16 +235,17 @@ class FileCommands:
         self.following: tuple[Stroke, int, Task] | None = None  # what is tracked: a stroke, and from which frame
         self.recipe_path: Path | None = None  # the last saved or opened recipe
         self.write_marks: Callable[[PathLike, bool], None] | None = None  # writes the landmarks
-        self._marks = self.document.marks  # as they were written last
+        self._marks = self.document.state.marks  # as they were written last
         self._told: Task | None = None
         self.autosave = None if self.source is None else Autosave(self.source, self.document)
-        self._left = None if self.source is None else found(self.source)
-        if self._left is not None:
-            text = f"Changes to this file were not saved the last time (strokes: {len(self._left.recipe.strokes)})."
-            if not self._left.same:
+        left = None if self.source is None else found(self.source)
+        if left is not None:
+            text = f"Changes to this file were not saved the last time (strokes: {len(left.recipe.strokes)})."
+            if not left.same:
                 text += "\nThe file has changed since then."
             text += "\nRestore brings them back; Keep for later opens the file without them, and says where they are."
-            self.asked = Question("restore", "Restore?", text, ("Restore", "Keep for later"))
+            choices = ("Restore", "Keep for later")
+            self.asked = Question("restore", "Restore?", text, choices, then=partial(self._restore, left))
 
     def tick(self) -> None:
         """Save the autosave if it is time to; and report the end of an export, of a track, or of a dialog."""
@@ -272,10 +263,10 @@ class FileCommands:
         if self.choosing is None or self.asked not in (None, self.choosing[0]):
             return
         question, dialog, begun = self.choosing
-        path = dialog.answer()
-        if path is None:
+        if not dialog.ready(0):
             return
-        self.choosing = None
+        self.choosing, answer = None, dialog.result()
+        path = answer if isinstance(answer, str) else next(iter(answer), "")
         if path and self.asked is question:  # the question asks for more than a name
             question.path = question.agreed = path
         elif path:
@@ -338,8 +329,8 @@ class FileCommands:
             return
         name = "save" if name == "save as" else name
         mask = f"{stem}-frozen{'.nii.gz' if self.document.kind == 'volume' else '.png'}"
-        path = {"export": bent, "copy": f"{stem}-view.png", "load mask": mask, "save mask": mask}.get(name, recipe)
-        path = f"{stem}-landmarks.csv" if name == "save landmarks" else path
+        paths = {"export": bent, "copy": f"{stem}-view.png", "load mask": mask, "save mask": mask}
+        path = (paths | {"save landmarks": f"{stem}-landmarks.csv"}).get(name, recipe)
         question = Question(name, *_ASKED[name], path)
         if self.choose is None or name in ("close", "export"):
             self.asked = question
@@ -353,14 +344,14 @@ class FileCommands:
         if self.document.dirty:
             self.ask("close")
             return False
-        if self.document.marks is not self._marks:
-            text = "There are landmarks that were not saved."
-            self.asked = Question("stop", "Close?", text, ("Close without saving", "Cancel"))
-            return False
-        if self.export is not None and not self.export.done:
-            self.asked = Question("stop", "Close?", "An export is under way.", ("Stop it and close", "Cancel"))
-            return False
-        return True
+        if self.document.state.marks is not self._marks:
+            text, choice = "There are landmarks that were not saved.", "Close without saving"
+        elif self.export is not None and not self.export.done:
+            text, choice = "An export is under way.", "Stop it and close"
+        else:
+            return True
+        self.asked = Question("stop", "Close?", text, (choice, "Cancel"), then=self._stop)
+        return False
 
     def answer(self, choice: str) -> bool:
         """Continue the command with an answer; return whether the question is closed."""
@@ -381,41 +372,18 @@ class FileCommands:
     def _do(self, asked: Question, choice: str) -> None:
         path = asked.path or ""
         force = choice == "Replace" or path == asked.agreed
-        if asked.name == "restore" and self._left is not None:
-            if choice == "Restore":
-                self.document.load(self._left.recipe)
-                if self.autosave is not None and not self.autosave.keep():
-                    raise SuppleError(f"it is restored, but cannot be kept again: {self.autosave.trouble}: save it")
-            place = set_aside(self._left.place, "kept")
-            if choice == "Keep for later":
-                self.message = f"the strokes are in {shown(place)}"
-            self._left = None
-        elif asked.name == "save":
-            self.save(path, force=force)
+        if asked.then is not None:
+            asked.then(choice)
         elif asked.name == "open":
             self.take(path)
         elif asked.name == "load mask":
             self.document.set_freeze(read_freeze(path))
             self.message = f"frozen as in {shown(path)}"
-        elif asked.name == "save mask":
-            self._spare(path)
-            write_freeze(path, self.document.freeze, self.document.shape, self.document.geometry, force=force)
-            self.message = f"saved to {shown(path)}"
-        elif asked.name == "save landmarks" and self.write_marks is not None:
-            self._spare(path)
-            self.write_marks(path, force)
-            self._marks, self.message = self.document.marks, f"saved to {shown(path)}"
-        elif asked.name == "over":
-            self.open(asked.opens, sure=True)
-        elif asked.name == "copy":
-            self._spare(path)
-            check_target(path)
-            check_output(path, force=force)  # before rendering, which may take seconds
-            self.write_view(path, force)
-            self.message = f"saved to {shown(path)}"
         elif asked.name == "export":
             self.begin_export(path, force=force)
-        elif asked.name == "close":
+        elif asked.name != "close":
+            self.save(path, force=force, what=asked.name)
+        else:
             if choice in ("Save and close", "Replace and close"):
                 known = self.recipe_path is not None and same_file(path, self.recipe_path)
                 self.save(path, force=known or choice == "Replace and close")
@@ -423,18 +391,38 @@ class FileCommands:
                 self.document.mark_saved()  # discarded by the user
             if self.may_close():  # an export may be running
                 self.leave()
-        elif asked.name == "stop":
-            self.end_export()
-            self.leave()
 
-    def save(self, path: PathLike, *, force: bool = False) -> None:
-        """Write the recipe; SuppleError if it cannot be written, or exists and must not be replaced."""
-        if not os.fspath(path):
+    def _restore(self, left: Found, choice: str) -> None:
+        if choice == "Restore":
+            self.document.load(left.recipe)
+            if self.autosave is not None and not self.autosave.keep():
+                raise SuppleError(f"it is restored, but cannot be kept again: {self.autosave.trouble}: save it")
+        place = set_aside(left.place, "kept")
+        if choice == "Keep for later":
+            self.message = f"the strokes are in {shown(place)}"
+
+    def _stop(self, choice: str) -> None:
+        self.end_export()
+        self.leave()
+
+    def save(self, path: PathLike, *, force: bool = False, what: str = "save") -> None:
+        """Write the recipe, or ``what`` a question asks for; SuppleError if it exists and must not be replaced."""
+        if what == "save" and not os.fspath(path):
             raise SuppleError("the recipe needs a name: such as strokes.json")
         self._spare(path)
-        write_recipe(path, self.document.recipe, force=force)
-        self.recipe_path = Path(path)
-        self.document.mark_saved()
+        if what == "save mask":
+            write_freeze(path, self.document.freeze, self.document.shape, self.document.geometry, force=force)
+        elif what == "save landmarks" and self.write_marks is not None:
+            self.write_marks(path, force)
+            self._marks = self.document.state.marks
+        elif what == "copy":
+            check_target(path)
+            check_output(path, force=force)  # before rendering, which may take seconds
+            self.write_view(os.fspath(path), force)
+        else:
+            write_recipe(path, self.document.recipe, force=force)
+            self.recipe_path = Path(path)
+            self.document.mark_saved()
         self.message = f"saved to {shown(path)}"
 
     def _spare(self, path: PathLike) -> None:
@@ -462,7 +450,8 @@ class FileCommands:
         recipe = read_recipe(path, resolve=Places(source).resolve if source else None)
         if self.document.dirty and not sure:
             self.document.fitted(recipe)
-            self.asked = Question("over", "Open it?", _OVER, ("Open it", "Cancel"), opens=path)
+            choices = ("Open it", "Cancel")
+            self.asked = Question("over", "Open it?", _OVER, choices, then=lambda _: self.open(path, sure=True))
             return
         self.document.load(recipe)
         self.recipe_path = Path(path)
@@ -521,7 +510,7 @@ class FileCommands:
     def end(self) -> None:
         """End properly: the autosave of discarded strokes is deleted."""
         if self.choosing is not None:
-            self.choosing[1].close()
+            self.choosing[1].kill()
         for task in (self.export, self.following and self.following[2]):
             if task is not None:
                 task.cancel()

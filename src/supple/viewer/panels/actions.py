@@ -6,12 +6,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 
-from imgui_bundle import imgui
+from imgui_bundle import imgui, imgui_ctx
 
 from supple.viewer.panels import theme
 from supple.viewer.panels.theme import ICONS
 from supple.viewer.panels.view import STRIP, TOP, WIDE, View
-from supple.viewer.panels.widgets import elided, hint, icon_button
+from supple.viewer.panels.widgets import elided, icon_button, pinned
 from supple.viewer.tools.keys import BRUSHES
 
 
@@ -21,22 +21,30 @@ class Action:
 
     text: str
     keys: str  # the keys that do the same, as `supple.viewer.tools.keys.KEYS` writes them
-    do: Callable[[View], object]
+    work: Callable[[View], object] | None = None  # by default, what its keys do
     able: Callable[[View], bool] = lambda view: True
     on: Callable[[View], bool] | None = None  # for a switch, whether it is on
     more: Callable[[View], str] | None = None  # what it would be applied to, in words
+    icon: str = ""  # of those that the strip has
 
     def says(self, view: View) -> str:
         """Return the text, and what it would be applied to."""
         more = "" if self.more is None else self.more(view)
         return f"{self.text}: {more}" if more else self.text
 
+    def do(self, view: View) -> None:
+        """Do it, and draw what has changed."""
+        if self.work is not None:
+            self.work(view)
+        else:
+            *modifiers, key = self.keys.lower().replace("ctrl", "Control").split("+")
+            view.tools.press(_NAMES.get(key, key), *modifiers)
+        view.canvas.request_draw()
+
 
 def _undone(view: View) -> str:
     document = view.document
-    if document.dragging or not document.can_undo:
-        return ""
-    return document.state.made_by
+    return "" if document.dragging or not document.can_undo else document.state.made_by
 
 
 def _redone(view: View) -> str:
@@ -59,14 +67,6 @@ def _asks(name: str) -> Callable[[View], None]:
     return lambda view: view.commands.ask(name)
 
 
-def _presses(key: str, *modifiers: str) -> Callable[[View], None]:
-    def press(view: View) -> None:
-        view.tools.press(key, *modifiers)
-        view.canvas.request_draw()
-
-    return press
-
-
 def copy_recipe(view: View) -> None:
     """Copy the recipe's JSON."""
     if view.copy_text is not None:
@@ -74,40 +74,28 @@ def copy_recipe(view: View) -> None:
         view.commands.message = "the recipe is copied, as JSON"
 
 
-def _chosen(view: View) -> bool:
-    return view.document.selected is not None
-
-
 def _freezes(view: View) -> bool:
     return view.document.frozen is not None
 
 
+_NAMES = {"delete": "Delete", "f1": "F1"}  # of keys, in events
 ACTIONS: dict[str, Action] = {
-    "open": Action("Open \u2026", "Ctrl+O", _asks("open")),
+    "open": Action("Open \u2026", "Ctrl+O", _asks("open"), icon="\uf07c"),
     "load mask": Action("Load the freeze mask \u2026", "", _asks("load mask")),
     "save mask": Action("Save the freeze mask \u2026", "", _asks("save mask"), _freezes),
-    "save": Action("Save the recipe", "Ctrl+S", _asks("save")),
+    "save": Action("Save the recipe", "Ctrl+S", _asks("save"), icon="\uf0c7"),
     "save as": Action("Save the recipe as \u2026", "Ctrl+Shift+S", _asks("save as")),
-    "export": Action("Export \u2026", "Ctrl+E", _asks("export"), lambda view: view.source is not None),
+    "export": Action("Export \u2026", "Ctrl+E", _asks("export"), lambda view: view.source is not None, icon="\uf14d"),
     "copy": Action("Save this view \u2026", "", _asks("copy")),
-    "undo": Action(
-        "Undo", "Ctrl+Z", _edits(lambda view: view.document.undo()), lambda view: view.document.can_undo, more=_undone
-    ),
-    "redo": Action(
-        "Redo", "Ctrl+Y", _edits(lambda view: view.document.redo()), lambda view: view.document.can_redo, more=_redone
-    ),
+    "undo": Action("Undo", "Ctrl+Z", able=lambda view: view.document.can_undo, more=_undone, icon="\uf2ea"),
+    "redo": Action("Redo", "Ctrl+Y", able=lambda view: view.document.can_redo, more=_redone, icon="\uf2f9"),
     "restore": Action(
         "Restore all", "", _edits(lambda view: view.document.restore()), lambda view: bool(view.document.strokes)
     ),
-    "handles": Action("Handles", "Ctrl+H", _presses("h", "Control"), on=lambda view: not view.tools.bare),
-    "delete": Action("Delete the stroke", "Delete", _presses("Delete"), _chosen),
-    "hide": Action("Hide or show the stroke", "H", _presses("h"), _chosen),
-    "thaw all": Action(
-        "Thaw everything",
-        "",
-        _edits(lambda view: view.document.set_freeze(None)),
-        _freezes,
-    ),
+    "handles": Action("Handles", "Ctrl+H", on=lambda view: not view.tools.bare),
+    "delete": Action("Delete the stroke", "Delete", able=lambda view: view.document.selected is not None),
+    "hide": Action("Hide or show the stroke", "H", able=lambda view: view.document.selected is not None),
+    "thaw all": Action("Thaw everything", "", _edits(lambda view: view.document.set_freeze(None)), _freezes),
     "invert frozen": Action(
         "Invert what is frozen", "", _edits(lambda view: view.document.set_freeze(view.document.freeze.inverted))
     ),
@@ -117,12 +105,13 @@ ACTIONS: dict[str, Action] = {
         "\\",
         lambda view: show_original(view, not view.tools.original),
         on=lambda view: view.tools.original,
+        icon="\uf042",
     ),
-    "split": Action("Before and after", "B", _presses("b"), on=lambda view: view.tools.split is not None),
-    "symmetry": Action("Symmetric strokes", "M", _presses("m"), on=lambda view: view.tools.symmetric),
-    "fit": Action("Fit the view", "0", _presses("0")),
-    "actual": Action("100 %", "1", _presses("1"), lambda view: view.stage.kind != "volume"),
-    "keys": Action("Keys and gestures", "F1", _presses("F1"), on=lambda view: view.tools.listing),
+    "split": Action("Before and after", "B", on=lambda view: view.tools.split is not None, icon="\uf0db"),
+    "symmetry": Action("Symmetric strokes", "M", on=lambda view: view.tools.symmetric, icon="\uf07e"),
+    "fit": Action("Fit the view", "0", icon="\uf065"),
+    "actual": Action("100 %", "1", able=lambda view: view.stage.kind != "volume"),
+    "keys": Action("Keys and gestures", "F1", on=lambda view: view.tools.listing, icon="\uf128"),
 }
 
 
@@ -179,42 +168,41 @@ _GAP = 13.0  # logical pixels between groups
 def strip(view: View) -> None:
     """Draw the strip of tools."""
     width, height = view.logical
-    flags = imgui.WindowFlags_.no_decoration | imgui.WindowFlags_.no_move
-    imgui.set_next_window_pos((width - WIDE, TOP))
-    imgui.set_next_window_size((STRIP, height - TOP))
-    imgui.push_style_var(imgui.StyleVar_.window_padding, (6, 8))
-    imgui.push_style_var(imgui.StyleVar_.window_rounding, 0.0)
-    imgui.push_style_var(imgui.StyleVar_.item_spacing, (0, 2))
-    imgui.push_style_color(imgui.Col_.window_bg, theme.RAIL)
-    imgui.begin("tools", None, flags | imgui.WindowFlags_.no_bring_to_front_on_focus)
+    with (
+        imgui_ctx.push_style_var(imgui.StyleVar_.item_spacing, (0, 2)),
+        pinned("tools", (width - WIDE, TOP), (STRIP, height - TOP), (6, 8)),
+    ):
+        _tools(view, height)
+
+
+def _tools(view: View, height: float) -> None:
     count = len(BRUSHES) + sum(map(len, GROUPS))
     size = max(min(STRIP - 12.0, (height - TOP - 18 - len(GROUPS) * _GAP) / count - 2), 7.0)  # all fit in a low window
     for brush, (key, what) in BRUSHES.items():
         if brush in view.tools.lacks:
             continue
-        if icon_button(f"brush {brush}", ICONS[brush], size, on=view.tools.brush == brush):
+        tip, on = f"{brush.capitalize()} ({key}): {what}", view.tools.brush == brush
+        if icon_button(f"brush {brush}", ICONS[brush], tip, size, on=on):
             view.tools.brush = brush
-        hint(f"{brush.capitalize()} ({key}): {what}")
     for group in GROUPS:
         _line()
         for name in group:
             _tool(view, name, size)
-    imgui.end()
-    imgui.pop_style_color()
-    imgui.pop_style_var(3)
 
 
 def _tool(view: View, name: str, size: float) -> None:
-    action = ACTIONS[name]
-    pressed = icon_button(name, ICONS[name], size, action.on is not None and action.on(view), action.able(view))
-    if name == "original":  # acts while it is held, as its key does
-        if imgui.is_item_activated() or imgui.is_item_deactivated():
-            show_original(view, imgui.is_item_activated())
-        hint(f"Hold to see the original ({action.keys})")
-        return
-    if pressed:
-        action.do(view)
-    hint(lambda: f"{action.says(view)} ({action.keys})")
+    action, held = ACTIONS[name], name == "original"  # which acts while it is held, as its key does
+
+    def tip() -> str:
+        return f"{'Hold to see the original' if held else action.says(view)} ({action.keys})"
+
+    on, able = action.on is not None and action.on(view), action.able(view)
+    pressed = icon_button(name, action.icon, tip, size, on=on, enabled=able)
+    if not held:
+        if pressed:
+            action.do(view)
+    elif imgui.is_item_activated() or imgui.is_item_deactivated():
+        show_original(view, imgui.is_item_activated())
 
 
 def _line() -> None:

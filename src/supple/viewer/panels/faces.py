@@ -11,7 +11,8 @@ from supple.deformation import Deformation
 from supple.errors import SuppleError
 from supple.files.faces import adjusted, can_find, face_stroke, faces_of, landmarks_file
 from supple.media.faces import Face
-from supple.viewer.panels.strokes import end_drag
+from supple.viewer.document.editing import Document
+from supple.viewer.panels.strokes import drag
 from supple.viewer.panels.view import View
 from supple.viewer.panels.widgets import REST, choice, section, slider, wrapped
 
@@ -59,20 +60,16 @@ def _sliders(view: View, faces: tuple[Face, ...]) -> None:
     if moved and not document.dragging:
         below = document.deformation if i is None else document.below(i)
         view.moved_face = i, _seen(faces[view.face], below)
-        view.attempt(partial(document.begin_drag, i))
-    if moved and document.dragging and view.moved_face is not None:
-        place, face = view.moved_face
-        try:
-            stroke = face_stroke(face, place=view.face + 1, size=document.deformation.grid.sizes, **percents)
-        except SuppleError as error:
-            view.commands.message = str(error)
-        else:
-            view.attempt(
-                partial(document.preview, stroke, select=False)
-                if place is None
-                else partial(document.preview_as, stroke)
-            )
-    end_drag(view)
+    if moved and view.moved_face is not None:
+        drag(view, i, partial(_preview, document, *view.moved_face, view.face + 1, percents))
+
+
+def _preview(document: Document, i: int | None, face: Face, place: int, percents: dict[str, float]) -> None:
+    stroke = face_stroke(face, place=place, size=document.deformation.grid.sizes, **percents)
+    if i is None:
+        document.preview(stroke, select=False)
+    else:
+        document.preview_as(stroke)
 
 
 def _seen(face: Face, before: Deformation) -> Face:

@@ -14,7 +14,7 @@ from supple.strokes.keys import curve
 from supple.viewer.document.keyframes import PARTS, Part, animated, moved_key, of_key, with_key, with_key_here, without
 from supple.viewer.panels import theme
 from supple.viewer.panels.view import View
-from supple.viewer.panels.widgets import REST, hint, icon_button, label, progress, wrapped
+from supple.viewer.panels.widgets import button, hint, icon_button, label, progress, wrapped
 from supple.viewer.tools.brushes import VideoTools
 from supple.viewer.tools.drawing import CLICK, Pair
 
@@ -73,10 +73,8 @@ def _diamond(lines: imgui.ImDrawList, at: Pair, colour: int, count: int) -> None
     x, y = at
     if count > _MANY:
         lines.add_rect_filled((x - 1.5, y - 1.5), (x + 1.5, y + 1.5), colour)
-        return
-    corners: list[Any] = [(x, y - 4.5), (x + 4.5, y), (x, y + 4.5), (x - 4.5, y)]
-    lines.add_convex_poly_filled(corners, colour)
-    lines.add_polyline([*corners, corners[0]], theme.DARK, 1.0, 0)
+    else:
+        theme.diamond(lines, at, 4.5, colour)
 
 
 def lane(view: View, tools: VideoTools, size: Pair) -> None:
@@ -187,17 +185,16 @@ def fields(view: View, i: int, stroke: Stroke) -> None:
     imgui.new_line()
     if frames:
         label("Keys")
-        size, here = imgui.get_frame_height(), frame in frames
+        here = frame in frames
         for name, icon, way in (("before", theme.BEFORE, -1), ("after", theme.AFTER, 1)):
-            if icon_button(f"key {name}", icon, size):
+            if icon_button(f"key {name}", icon, f"The key {name} this frame ({'J' if way < 0 else 'K'})"):
                 tools.go_to_key(way)
-            hint(f"The key {name} this frame ({'J' if way < 0 else 'K'})")
             imgui.same_line()
-        if icon_button("key here", theme.KEY, size, on=here):
+        tip = "Remove the key of this frame" if here else "Set a key in this frame, of what is animated"
+        if icon_button("key here", theme.KEY, tip, on=here):
             for part in PARTS:
                 if animated(stroke, part):
                     made = without(made, part, {frame}, frame) if here else with_key_here(made, part, frame)
-        hint("Remove the key of this frame" if here else "Set a key in this frame, of what is animated")
         imgui.same_line()
         imgui.align_text_to_frame_padding()
         wrapped(f"{frames.index(frame) + 1} of {len(frames)}" if here else f"{len(frames)} in all")
@@ -211,8 +208,7 @@ def _following(view: View, i: int) -> None:
     commands = view.commands
     if commands.following is None:
         label("Follow", _FOLLOW)
-        if imgui.button("Track its point", (REST, 0)):
+        if button("Track its point", tip=_FOLLOW):
             view.attempt(partial(commands.follow, i))
-        hint(_FOLLOW)
     elif progress(commands.following[2]):
         commands.following[2].cancel()

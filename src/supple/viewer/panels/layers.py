@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -15,7 +14,7 @@ from supple.deformation import Deformation
 from supple.engine.sampling import Sampling
 from supple.errors import SuppleError
 from supple.fields import Placed
-from supple.files.volumes import background_of
+from supple.files.volumes import background_of, least_of
 from supple.media.volume import Volume
 from supple.media.volume.data import rescaled
 from supple.render.labels import LabelColours, labels_in
@@ -49,11 +48,6 @@ class Segmentation:
         self.shades = self.colours.of(self.labels)  # sRGB and opacity (N, 4), from 0 to 1
 
     @property
-    def names(self) -> Mapping[int, str]:
-        """The names of the labels that have one."""
-        return self.colours.names
-
-    @property
     def look(self) -> tuple[object, ...]:
         """Everything that a picture depends on, except the labels."""
         return self.opacity, frozenset(self.hidden)
@@ -74,7 +68,9 @@ class Layer:
 
     def __init__(self, volume: Volume, registration: Registration | None = None, *, labels: bool = False) -> None:
         self._samples = volume.samples[0] if volume.series else volume.samples
-        self._scaling, self._labels, self._range = volume.scaling, labels, range_of(self._samples)
+        self._scaling, self._labels, some = volume.scaling, labels, self._samples
+        floats = some.dtype.kind == "f"
+        self._range = (least_of(some), -least_of(some, -1)) if floats else (some.min(), some.max())
         self._registration, self._own = registration, volume.grid
         self._volume = volume
         self._planes: dict[int, list[tuple[Deformation | None, int, Grid | None, Array]]] = {}  # two of each axis
@@ -120,26 +116,12 @@ class Layer:
         return raw
 
 
-def range_of(samples: Array) -> tuple[Any, Any]:
-    """Return the least and the largest finite value; infinities if there is none."""
-    if samples.dtype.kind != "f":
-        return samples.min(), samples.max()
-    low, high = np.inf, -np.inf
-    for slab in samples:
-        known = slab[np.isfinite(slab)]
-        if known.size:
-            low, high = min(low, known.min()), max(high, known.max())
-    return (low, high) if low <= high else (-np.inf, np.inf)
-
-
 def segmentation_of(volume: Volume, table: LabelColours | None) -> Segmentation:
     """Return a volume of labels with the names and colours of a table or, without one, of its header."""
     if volume.components > 1:
         raise SuppleError(f"{volume.name} has {volume.components} components, and labels are of one: give one of them")
     samples = volume.samples[0] if volume.series else volume.samples
-    if table is not None:
-        return Segmentation(volume, table)
-    known = volume.is_segmentation
-    return Segmentation(
-        volume, LabelColours.of_segments(volume.header, labels_in(samples)) if known else LabelColours()
-    )
+    if table is None:
+        known = volume.is_segmentation
+        table = LabelColours.of_segments(volume.header, labels_in(samples)) if known else LabelColours()
+    return Segmentation(volume, table)

@@ -8,7 +8,7 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from imgui_bundle import imgui
+from imgui_bundle import imgui, imgui_ctx
 
 from supple.deformation import Deformation
 from supple.engine.sampling import DEFAULT
@@ -23,11 +23,10 @@ from supple.viewer.document.words import done, named
 from supple.viewer.panels import keyframes, landmarks, straightening, theme
 from supple.viewer.panels.stages import VideoStage, VolumeStage
 from supple.viewer.panels.view import COMPUTING, LANE, LINE, TOP, View
-from supple.viewer.panels.widgets import hint, icon_button, wrapped
+from supple.viewer.panels.widgets import hint, icon_button, pinned, wrapped
 from supple.viewer.tools.brushes import ImageTools, VideoTools
 from supple.viewer.tools.drawing import Pair, Place, Point
 from supple.viewer.tools.planes import FIXED, RENDERED, Pane
-from supple.viewer.tools.playback import Playback
 from supple.viewer.tools.viewport import Viewport
 from supple.viewer.tools.volumes import VolumeTools
 
@@ -61,8 +60,6 @@ def _views(view: View, tools: VolumeTools, lines: imgui.ImDrawList) -> None:
             _plane(view, tools, lines, k)
         if tools.active == k:
             rings(tools, lines)
-        if (at := tools.knob_in(place)) is not None and k < FIXED:
-            knob(lines, at)
         if k < FIXED:
             names(tools, lines, place, _NAMED)
         _button(tools, lines, k)
@@ -90,7 +87,12 @@ def ring(lines: imgui.ImDrawList, middle: Pair, radius: float, stretch: Pair, co
 
 
 def names(tools: ImageTools | VolumeTools, lines: imgui.ImDrawList, place: Place, down: float) -> None:
-    """Write what a view, or each side of its split, shows: before, after or a step, ``down`` pixels below the top."""
+    """Write what a view, or each side of its split, shows: before, after or a step, ``down`` pixels below the top.
+
+    The knob of the split is drawn, too.
+    """
+    if (at := tools.knob_in(place)) is not None:
+        knob(lines, at)
     (left, top, width, _), named = place, []
     compared = tools.document.compared is not None
     if tools.original:
@@ -342,13 +344,6 @@ def _cube(tools: VolumeTools, lines: imgui.ImDrawList) -> None:
 
 
 _USUAL = ClipOptions()
-_BARE = (
-    imgui.WindowFlags_.no_title_bar
-    | imgui.WindowFlags_.no_resize
-    | imgui.WindowFlags_.no_move
-    | imgui.WindowFlags_.no_scrollbar
-    | imgui.WindowFlags_.no_bring_to_front_on_focus
-)
 
 
 def draw(view: View) -> None:
@@ -370,8 +365,6 @@ def draw(view: View) -> None:
             mirror(lines, grip, TOP, height, tools.tilt)
         _handles(view, lines)
         rings(tools, lines)
-        if tools.knob is not None:
-            knob(lines, tools.knob)
         names(tools, lines, tools.place, 10.0)
     if not view.hinted:
         _hints(view, lines)
@@ -433,11 +426,12 @@ def bars(view: View) -> None:
     """Draw the timeline and the status line, which covers some of the picture if it has several lines."""
     said = status(view)
     high = LINE + imgui.calc_text_size(said, wrap_width=view.area[0] - 16).y - imgui.get_text_line_height()
+    (wide, _), (_, below) = view.area, view.logical
     if isinstance(view.stage, VideoStage):
-        _timeline(view, view.stage, high)
-    _begin_bar("status", view.logical[1] - high, view.area[0], high, (8, 3))
-    wrapped(said, colour=theme.TEXT)
-    _end_bar()
+        with pinned("timeline", (0, below - high - view.bar), (wide, view.bar), (8, 8)):
+            _timeline(view, view.stage)
+    with pinned("status", (0, below - high), (wide, high), (8, 3)):
+        wrapped(said, colour=theme.TEXT)
 
 
 def _handles(view: View, lines: imgui.ImDrawList) -> None:
@@ -459,73 +453,43 @@ def _handles(view: View, lines: imgui.ImDrawList) -> None:
     strokes(view, lines, placed, there, ball)
 
 
-def _timeline(view: View, stage: VideoStage, below: float) -> None:
+def _timeline(view: View, stage: VideoStage) -> None:
     tools = view.tools
     assert isinstance(tools, VideoTools)
-    playback = tools.playback
-    width, height = view.area[0], view.logical[1]
-    _begin_bar("timeline", height - below - view.bar, width, view.bar, (8, 8))
-    if icon_button("play", theme.PAUSE if playback.playing else theme.PLAY, imgui.get_frame_height()):
+    playback, width = tools.playback, view.area[0]
+    tip = "Pause (Space)" if playback.playing else "Play (Space)"
+    if icon_button("play", theme.PAUSE if playback.playing else theme.PLAY, tip):
         tools.press(" ")
-    hint("Pause (Space)" if playback.playing else "Play (Space)")
     imgui.same_line()
     last = stage.film.count - 1
     said = f"{playback.frame} / {last}   {playback.seconds:.2f} s"
     most = f"{last} / {last}   {last / stage.rate:.2f} s"
     beside = imgui.calc_text_size(most).x + imgui.calc_text_size("loop").x + imgui.get_frame_height() + 44
     imgui.set_next_item_width(max(80.0, imgui.get_content_region_avail().x - beside))
-    imgui.push_style_color(imgui.Col_.slider_grab, theme.TEXT)
-    changed, frame = imgui.slider_int("##frame", playback.frame, 0, last, "")
-    imgui.pop_style_color()
+    with imgui_ctx.push_style_color(imgui.Col_.slider_grab, imgui.ImVec4(*theme.TEXT)):
+        changed, frame = imgui.slider_int("##frame", playback.frame, 0, last, "")
     if changed:
         playback.seek(frame)
-    _marked(playback)
-    begin, end = imgui.get_item_rect_min(), imgui.get_item_rect_max()
+    begin, end, lines = imgui.get_item_rect_min(), imgui.get_item_rect_max(), imgui.get_window_draw_list()
+    inset = 0.5 * imgui.get_style().grab_min_size + 2.0  # a slider's knob stays within it
+
+    def across(at: float) -> int:
+        return round(begin.x + inset + (end.x - begin.x - 2 * inset) * at / max(last, 1))
+
+    if (playback.first, playback.last) != (0, last):
+        lines.add_rect((across(playback.first) - 2, begin.y), (across(playback.last) + 2, end.y), theme.BLUE, 2.0)
     for at, selected in tools.stroke_frames.items():
-        x, high = round(_at_frame(at, playback)) + 0.5, imgui.get_item_rect_max()
-        imgui.get_window_draw_list().add_line((x, high.y - 6), (x, high.y), theme.BLUE if selected else theme.SOFT, 2.0)
+        x = across(at) + 0.5
+        lines.add_line((x, end.y - 6), (x, end.y), theme.BLUE if selected else theme.SOFT, 2.0)
     hint("The frame; below it, where strokes are. I and O mark the part that is played, U removes the marks")
     imgui.same_line(0, 12)
     imgui.text(said)
     imgui.same_line(width - imgui.get_frame_height() - imgui.calc_text_size("loop").x - 16)
-    changed, loop = imgui.checkbox("loop", playback.loop)
-    if changed:
-        playback.set_loop(loop)
+    _, playback.loop = imgui.checkbox("loop", playback.loop)
     hint("Play again and again (L)")
     if not view.document.timed:
         imgui.set_cursor_screen_pos((begin.x, end.y + 6))
         keyframes.lane(view, tools, (end.x - begin.x, LANE - 6))
-    _end_bar()
-
-
-def _begin_bar(name: str, top: float, wide: float, high: float, padding: Pair) -> None:
-    imgui.set_next_window_pos((0, top))
-    imgui.set_next_window_size((wide, high))
-    imgui.push_style_var(imgui.StyleVar_.window_padding, padding)
-    imgui.push_style_var(imgui.StyleVar_.window_rounding, 0.0)
-    imgui.push_style_color(imgui.Col_.window_bg, theme.RAIL)
-    imgui.begin(name, None, _BARE)
-
-
-def _end_bar() -> None:
-    imgui.end()
-    imgui.pop_style_color()
-    imgui.pop_style_var(2)
-
-
-def _marked(playback: Playback) -> None:
-    if (playback.first, playback.last) == (0, playback.count - 1):
-        return
-    low, high = imgui.get_item_rect_min(), imgui.get_item_rect_max()
-    first, last = (round(_at_frame(frame, playback)) for frame in (playback.first, playback.last))
-    imgui.get_window_draw_list().add_rect((first - 2, low.y), (last + 2, high.y), theme.BLUE, 2.0)
-
-
-def _at_frame(frame: float, playback: Playback) -> float:
-    """Return the x of a frame on the timeline, which is the last item."""
-    low, high = imgui.get_item_rect_min(), imgui.get_item_rect_max()
-    inset = 0.5 * imgui.get_style().grab_min_size + 2.0  # a slider's knob stays within it
-    return low.x + inset + (high.x - low.x - 2 * inset) * frame / max(playback.count - 1, 1)
 
 
 def status(view: View) -> str:
@@ -587,7 +551,8 @@ def _is_before(view: View) -> bool:
     tools = view.tools
     if tools.split is None or tools.pointer is None or tools.original:
         return tools.original
-    return tools.knob is not None and tools.pointer[0] < tools.knob[0]
+    at = tools.knob_in(tools.place)
+    return at is not None and tools.pointer[0] < at[0]
 
 
 def _of_a_volume(view: View, tools: VolumeTools, hover: tuple[float, ...]) -> list[str]:

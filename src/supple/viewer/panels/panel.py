@@ -7,7 +7,7 @@ from dataclasses import replace
 from functools import partial
 from typing import Any
 
-from imgui_bundle import imgui
+from imgui_bundle import imgui, imgui_ctx
 
 from supple.engine.sampling import BETWEEN
 from supple.errors import shown
@@ -21,19 +21,19 @@ from supple.viewer.panels import faces, registering, straightening, strokes, the
 from supple.viewer.panels.actions import ACTIONS
 from supple.viewer.panels.overlay import certified
 from supple.viewer.panels.stages import ImageStage
-from supple.viewer.panels.theme import CROSS
 from supple.viewer.panels.transforms import TRANSFORMS
 from supple.viewer.panels.view import STRIP, TOP, WIDE, View
 from supple.viewer.panels.widgets import (
-    REST,
+    button,
     choice,
     elided,
     hint,
     icon_button,
     label,
-    listing,
+    pinned,
     primary,
     progress,
+    rows,
     section,
     slider,
     typed,
@@ -43,23 +43,16 @@ from supple.viewer.tools.keys import KEYS
 
 _FOOT = 56.0  # logical pixels of the file commands
 _EXPORTING, _DONE = 60.0, 30.0  # and of an export's progress, and of its end
-_FLAGS = (
-    imgui.WindowFlags_.no_move
-    | imgui.WindowFlags_.no_resize
-    | imgui.WindowFlags_.no_collapse
-    | imgui.WindowFlags_.no_title_bar
-    | imgui.WindowFlags_.no_bring_to_front_on_focus
-)
 
 
 def panel(view: View) -> None:
     """Draw the panel."""
     width, height = view.logical
-    imgui.set_next_window_pos((width - WIDE + STRIP, TOP))
-    imgui.set_next_window_size((WIDE - STRIP, height - TOP))
-    imgui.push_style_var(imgui.StyleVar_.window_rounding, 0.0)
-    imgui.begin("panel", None, _FLAGS | imgui.WindowFlags_.no_scrollbar)
-    imgui.pop_style_var()
+    with pinned("panel", (width - WIDE + STRIP, TOP), (WIDE - STRIP, height - TOP), ground=theme.GROUND):
+        _parts(view)
+
+
+def _parts(view: View) -> None:
     job = view.commands.export
     foot = _FOOT + (0.0 if job is None else _DONE if job.done else _EXPORTING)
     wide = imgui.get_content_region_avail().x
@@ -76,10 +69,10 @@ def panel(view: View) -> None:
     strokes.folds(view)
     _accuracy(view)
     _history(view)
+    strokes.end_drag(view)
     imgui.end_child()
     _files(view)
     _question(view)
-    imgui.end()
 
 
 def _seeing(view: View) -> None:
@@ -179,19 +172,17 @@ def _exports(view: View, asked: Question) -> None:
         made["codec"] = text.strip() or None
     crf, form = (-1.0, "as usual") if clip.crf is None else (clip.crf, "%.1f")
     tip = "Lower is better, and larger: 18 for H.264; below 0 for what the codec usually has"
-    entered, number = typed(view, "CRF", crf, form, tip)
-    if entered:
+    if (number := typed(view, "CRF", crf, form, tip)) is not None:
         made["crf"] = number if 0 <= number < math.inf else None
-    entered, number = typed(view, "Keep ends", float(view.document.hold), "%.0f", _HOLD)
-    if entered and math.isfinite(number):
+    number = typed(view, "Keep ends", float(view.document.hold), "%.0f", _HOLD)
+    if number is not None and math.isfinite(number):
         view.attempt(partial(view.document.set_hold, round(number)))
     if view.document.timed:
         ways: dict[Any, str] = {None: "usual"} | {name: name for name in BETWEEN}
         made["between"] = choice("Between", clip.between, ways, _BETWEEN)
         length = view.stage.spacing[2] if clip.time_scale is None else clip.time_scale
         tip = "How many pixels a frame is long, for the brush: here, only in the export"
-        entered, number = typed(view, "Time scale", length, "%.2f", tip)
-        if entered:
+        if (number := typed(view, "Time scale", length, "%.2f", tip)) is not None:
             made["time_scale"] = number if 0 < number < math.inf else None
         label("Time filter", _FILTER)
         _, made["time_filter"] = imgui.checkbox("##time filter", clip.time_filter)
@@ -234,11 +225,7 @@ def _exporting(view: View, job: Task) -> None:
     hint(done if job.done else "At full quality, in the background: the file appears when it is complete")
     if job.done:
         imgui.same_line(imgui.get_window_width() - imgui.get_style().window_padding.x - size)
-        if icon_button("dismiss", CROSS, size):
-            view.commands.end_export()
-        hint("Close")
-        return
-    if progress(job):
+    if icon_button("dismiss", theme.CROSS, "Close") if job.done else progress(job):
         view.commands.end_export()
 
 
@@ -252,8 +239,9 @@ def _question(view: View) -> None:
     imgui.set_next_window_pos((width / 2, height / 2), imgui.Cond_.always, (0.5, 0.5))
     imgui.push_style_var(imgui.StyleVar_.window_padding, (16, 14))
     imgui.push_style_var(imgui.StyleVar_.frame_padding, (16, 9))  # of the title
+    imgui.push_style_var(imgui.StyleVar_.window_rounding, 6.0)
     shown = imgui.begin_popup_modal(asked.title, None, imgui.WindowFlags_.always_auto_resize)[0]
-    imgui.pop_style_var(2)
+    imgui.pop_style_var(3)
     if not shown:
         return
     wide = max(min(460.0, width - 60), 80.0)
@@ -319,9 +307,7 @@ def list_keys(view: View) -> None:
             imgui.table_next_column()
             imgui.text(keys)
             imgui.table_next_column()
-            imgui.push_text_wrap_pos(0.0)
-            imgui.text(what)
-            imgui.pop_text_wrap_pos()
+            imgui.text_wrapped(what)
         imgui.end_table()
     imgui.end()
     view.tools.listing = bool(stays)
@@ -336,35 +322,21 @@ def _history(view: View) -> None:
     if not section(view, "History"):
         return
     document = view.document
-    steps, now = document.steps, document.step
-    row = imgui.get_text_line_height_with_spacing()
-    listing("history", len(steps), 7, row)
-    if view.reached != now:
-        view.reached = now
-        imgui.set_scroll_y(row * (now + 0.5) - 0.5 * imgui.get_window_height())
-    clipper = imgui.ListClipper()
-    clipper.begin(len(steps))
-    wide, compared = imgui.calc_text_size("A").x, document.compared_step
-    while clipper.step():
-        for k in range(clipper.display_start, clipper.display_end):
-            marked = k == compared
-            imgui.push_style_color(imgui.Col_.text, theme.TEXT if marked else theme.FAINT)
+    steps, now, compared, wide = document.steps, document.step, document.compared_step, imgui.calc_text_size("A").x
+    for k in rows(view, "history", len(steps), 7, now, text=True):
+        marked = k == compared
+        with imgui_ctx.push_style_color(imgui.Col_.text, imgui.ImVec4(*(theme.TEXT if marked else theme.FAINT))):
             if imgui.selectable(f"A###mark {k}", marked, size=(wide, 0))[0] and not document.dragging:
                 view.attempt(partial(_compare, view, None if marked else k))
-            imgui.pop_style_color()
-            hint(_MARKED if marked else _MARK)
-            imgui.same_line()
-            name = steps[k].made_by if k else "Start"
-            imgui.push_style_color(imgui.Col_.text, theme.TEXT if k <= now else theme.FAINT)
+        hint(_MARKED if marked else _MARK)
+        imgui.same_line()
+        name = steps[k].made_by if k else "Start"
+        with imgui_ctx.push_style_color(imgui.Col_.text, imgui.ImVec4(*(theme.TEXT if k <= now else theme.FAINT))):
             if imgui.selectable(f"{name}###step {k}", k == now)[0] and not document.dragging:
                 view.attempt(partial(document.go, k))
-            imgui.pop_style_color()
-            hint("Click to go back to it" if k < now else "Click to go to it" if k > now else "What is seen now")
-    imgui.end_child()
-    if document.compared is not None:
-        if imgui.button("Compare with the original", (REST, 0)):
-            view.attempt(partial(_compare, view, None))
-        hint(_BACK)
+        hint("Click to go back to it" if k < now else "Click to go to it" if k > now else "What is seen now")
+    if document.compared is not None and button("Compare with the original", tip=_BACK):
+        view.attempt(partial(_compare, view, None))
 
 
 def _compare(view: View, step: int | None) -> None:

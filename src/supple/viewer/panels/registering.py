@@ -5,29 +5,30 @@ from __future__ import annotations
 from functools import partial
 
 import numpy as np
-from imgui_bundle import imgui
+from imgui_bundle import imgui, imgui_ctx
 
 from supple.viewer.document.landmarks import Landmarks
 from supple.viewer.panels import theme
 from supple.viewer.panels.layers import Segmentation
-from supple.viewer.panels.theme import CROSS, HIDDEN, SEEN
 from supple.viewer.panels.view import View
 from supple.viewer.panels.widgets import (
-    REST,
+    button,
     choice,
+    entry,
+    eye,
     hint,
     icon_button,
     label,
-    listing,
+    rows,
     section,
     slider,
-    toggle,
     wrapped,
 )
 from supple.viewer.tools.comparing import MODES, SHARES, Comparison
 from supple.viewer.tools.volumes import VolumeTools
 
 _MOST = 8  # rows of a list
+_SET = "Click a point in the bent volume, and the same point in the fixed one: in their planes, or one after the other"
 _AXES = "Planes through the crosshair along the axes of the patient, or along the voxels, which are oblique"
 
 
@@ -47,8 +48,8 @@ def draw(view: View) -> None:
         _comparison(view, tools, tools.comparison)
     if view.slices.segmentation is not None:
         _labels(view, view.slices.segmentation)
-    if tools.comparison is not None and view.document.marks is not None:
-        _landmarks(view, tools, view.document.marks)
+    if tools.comparison is not None and view.document.state.marks is not None:
+        _landmarks(view, tools, view.document.state.marks)
 
 
 def _comparison(view: View, tools: VolumeTools, known: Comparison) -> None:
@@ -60,7 +61,7 @@ def _comparison(view: View, tools: VolumeTools, known: Comparison) -> None:
         tools.compare(mode)
         view.refresh()
     if known.mode in SHARES:
-        said, tip, low, high, form = SHARES[known.mode]
+        _, said, tip, low, high, form = SHARES[known.mode]
         share = slider(said, known.shares[known.mode], low, high, form, tip)
         if share != known.shares[known.mode]:
             known.shares[known.mode] = share
@@ -74,42 +75,25 @@ def _labels(view: View, known: Segmentation) -> None:
     if opacity != known.opacity:
         known.opacity = opacity
         view.refresh()
-    row = imgui.get_frame_height_with_spacing()
-    listing("labels", len(known.labels), _MOST, row)
-    clipper = imgui.ListClipper()
-    clipper.begin(len(known.labels), row)
-    while clipper.step():
-        for i in range(clipper.display_start, clipper.display_end):
-            _label(view, known, i)
-    imgui.end_child()
-
-
-def _label(view: View, known: Segmentation, i: int) -> None:
-    number, size = known.labels[i], imgui.get_frame_height()
-    hidden = number in known.hidden
-    imgui.push_id(i)
-    if icon_button("seen", HIDDEN if hidden else SEEN, size):
-        known.hidden ^= {number}
-        view.refresh()
-    hint("Hidden: click to show it" if hidden else "Seen: click to hide it")
-    imgui.same_line()
-    red, green, blue = known.shades[i][:3].tolist()
-    imgui.color_button("##colour", (red, green, blue, 1.0), imgui.ColorEditFlags_.no_tooltip, (size, size))
-    imgui.same_line()
-    imgui.align_text_to_frame_padding()
-    imgui.text(f"{number}  {known.names.get(number, '')}".rstrip())
-    imgui.pop_id()
+    size = imgui.get_frame_height()
+    for i in rows(view, "labels", len(known.labels), _MOST):
+        number = known.labels[i]
+        if eye(number in known.hidden):
+            known.hidden ^= {number}
+            view.refresh()
+        red, green, blue = known.shades[i][:3].tolist()
+        imgui.color_button("##colour", (red, green, blue, 1.0), imgui.ColorEditFlags_.no_tooltip, (size, size))
+        imgui.same_line()
+        imgui.align_text_to_frame_padding()
+        imgui.text(f"{number}  {known.colours.names.get(number, '')}".rstrip())
 
 
 def _landmarks(view: View, tools: VolumeTools, marks: Landmarks) -> None:
     if not section(view, "Landmarks", f"Landmarks ({len(marks.names)})" if marks.names else "Landmarks"):
         return
     document = view.document
-    if toggle("Set a pair (L)", tools.marking, REST):
+    if button("Set a pair (L)", tip=_SET, on=tools.marking):
         tools.press("l")
-    hint(
-        "Click a point in the bent volume, and the same point in the fixed one: in their planes, or one after the other"
-    )
     residuals, before = marks.residuals(document.deformation), marks.residuals(document.base)
     pairs = marks.pairs
     if pairs:
@@ -117,45 +101,31 @@ def _landmarks(view: View, tools: VolumeTools, marks: Landmarks) -> None:
         wrapped(f"Residuals: mean {now.mean():.2f} mm, largest {now.max():.2f} mm; before strokes {then.mean():.2f} mm")
     if marks.names:
         _list(view, tools, marks, residuals, before)
-    imgui.begin_disabled(not pairs)
-    if imgui.button("Pull them together", (REST, 0)):
+    tip = "One stroke with the radius of the brush, by which each point ends at the fixed one"
+    if button("Pull them together", tip=tip, enabled=bool(pairs)):
         view.attempt(partial(_pull, view, tools, marks))
-    imgui.end_disabled()
-    hint("One stroke with the radius of the brush, by which each point ends at the fixed one")
-    if marks.names and imgui.button("Save landmarks \u2026", (REST, 0)):
+    if marks.names and button("Save landmarks \u2026"):
         view.commands.ask("save landmarks")
 
 
 def _list(view: View, tools: VolumeTools, marks: Landmarks, residuals: np.ndarray, before: np.ndarray) -> None:
-    size, row = imgui.get_frame_height(), imgui.get_frame_height_with_spacing()
-    listing("landmarks", len(marks.names), _MOST, row)
-    gone: int | None = None
-    for i, name in enumerate(marks.names):
-        imgui.push_id(i)
-        if icon_button("remove", CROSS, size):
-            gone = i
-        hint("Remove it")
+    for i in rows(view, "landmarks", len(marks.names), _MOST):
+        name = marks.names[i]
+        if icon_button("remove", theme.CROSS, "Remove it"):
+            view.attempt(partial(view.document.mark, marks.without(i), f"Remove landmark {name}"))
         imgui.same_line()
         whole = bool(np.isfinite(residuals[i]))
-        imgui.push_style_color(imgui.Col_.text, theme.TEXT if whole else theme.FAINT)
         said = f"{residuals[i]:.2f} mm" if whole else "one point"
-        at = imgui.get_content_region_avail().x - imgui.calc_text_size(said).x
-        imgui.push_style_var(imgui.StyleVar_.selectable_text_align, (0.0, 0.5))
-        chosen = imgui.selectable(f"{name}##landmark", False, size=(max(at - 8, 20), size))[0]
-        imgui.pop_style_var()
-        if chosen:
-            where = marks.moved(view.document.deformation)[i]
-            tools.sight = tools.sight.at(tuple(where if np.isfinite(where[0]) else marks.fixed[i]), tools.sizes)
-            view.refresh()
-        hint(f"{before[i]:.2f} mm before strokes; click to go there" if whole else "Click to go there")
-        imgui.same_line()
-        imgui.align_text_to_frame_padding()
-        imgui.text(said)
-        imgui.pop_style_color()
-        imgui.pop_id()
-    imgui.end_child()
-    if gone is not None:
-        view.attempt(partial(view.document.mark, marks.without(gone), f"Remove landmark {marks.names[gone]}"))
+        with imgui_ctx.push_style_color(imgui.Col_.text, imgui.ImVec4(*(theme.TEXT if whole else theme.FAINT))):
+            at = imgui.get_content_region_avail().x - imgui.calc_text_size(said).x
+            if entry(f"{name}##landmark", False, max(at - 8, 20)):
+                where = marks.moved(view.document.deformation)[i]
+                tools.sight = tools.sight.at(tuple(where if np.isfinite(where[0]) else marks.fixed[i]), tools.sizes)
+                view.refresh()
+            hint(f"{before[i]:.2f} mm before strokes; click to go there" if whole else "Click to go there")
+            imgui.same_line()
+            imgui.align_text_to_frame_padding()
+            imgui.text(said)
 
 
 def _pull(view: View, tools: VolumeTools, marks: Landmarks) -> None:

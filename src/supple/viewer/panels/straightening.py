@@ -12,7 +12,7 @@ from supple.errors import SuppleError
 from supple.space.straighten import FRAMES, Straighten
 from supple.viewer.panels import theme
 from supple.viewer.panels.view import View
-from supple.viewer.panels.widgets import REST, choice, hint, label, section, toggle, typed
+from supple.viewer.panels.widgets import button, choice, label, section, typed
 from supple.viewer.tools.brushes import ImageTools
 
 _BESIDE = 0xA0101010  # the shade over parts that an export leaves out
@@ -32,26 +32,24 @@ def draw(view: View) -> None:
     if "level" in tools.lacks or not section(view, "Straighten", shown=used):
         return
     known = given or Straighten()
-    entered, degrees = typed(view, "Turn", known.rotate, "%.2f", _TURN)
-    if entered:
+    degrees = typed(view, "Turn", known.rotate, "%.2f", _TURN)
+    if degrees is not None:
         view.attempt(lambda: document.set_rest(straighten=replace(known, rotate=degrees)))
     label("Keystone", _KEYSTONE)
     wide = imgui.get_content_region_avail().x - imgui.get_style().item_spacing.x
-    if toggle("Draw its frame", tools.brush == "keystone", wide * (0.6 if known.keystone else 1.0)):
-        tools.brush = "grab" if tools.brush == "keystone" else "keystone"
+    drawn = tools.brush == "keystone"
+    if button("Draw its frame", wide * (0.6 if known.keystone else 1.0), _KEYSTONE, on=drawn):
+        tools.brush = "grab" if drawn else "keystone"
         view.refresh()
-    hint(_KEYSTONE)
     if known.keystone:
         imgui.same_line()
-        if imgui.button("Remove", (REST, 0)):
+        if button("Remove"):
             view.attempt(lambda: document.set_rest(straighten=replace(known, keystone=())))
     fit = choice("Frame", known.fit, {name: name for name in FRAMES}, _FIT)
     if fit != known.fit:
         view.attempt(lambda: document.set_rest(straighten=replace(known, fit=fit)))  # type: ignore[arg-type]
-    imgui.begin_disabled(document.state.rest.straighten is None)
-    if imgui.button("As it was"):
+    if button("As it was", 0.0, enabled=document.state.rest.straighten is not None):
         view.attempt(partial(document.set_rest, straighten=None))
-    imgui.end_disabled()
 
 
 def overlay(view: View, tools: ImageTools, lines: imgui.ImDrawList) -> None:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cache, partial
 from typing import Any
 
 import numpy as np
-from imgui_bundle import imgui
+from imgui_bundle import imgui, imgui_ctx
 
 from supple.deformation import Deformation
 from supple.folding.limits import NEAR
@@ -19,18 +20,18 @@ from supple.viewer.document.words import CAUSES, FALLOFFS, FOLDS, described, fro
 from supple.viewer.panels import keyframes, theme
 from supple.viewer.panels.actions import ACTIONS
 from supple.viewer.panels.overlay import grid_step
-from supple.viewer.panels.theme import HIDDEN, SEEN
 from supple.viewer.panels.view import View
 from supple.viewer.panels.widgets import (
     REST,
+    button,
     choice,
+    entry,
+    eye,
     hint,
-    icon_button,
     label,
-    listing,
+    rows,
     section,
     slider,
-    toggle,
     typed,
     wrapped,
 )
@@ -115,36 +116,31 @@ def brush(view: View) -> None:
     own = view.own and i is not None
     if i is not None:
         wide = 0.5 * (imgui.get_content_region_avail().x - imgui.get_style().item_spacing.x)
-        if toggle("Next stroke", not own, wide):
+        if button("Next stroke", wide, on=not own):
             view.own = False
         imgui.same_line()
-        if toggle(f"Stroke {i + 1}###own", own, wide):
+        if button(f"Stroke {i + 1}###own", wide, on=own):
             view.own = True
-    imgui.push_id("own" if own else "next")
-    if own and i is not None:
-        _selected(view, i)
-    else:
-        _next(view)
-    imgui.pop_id()
+    with imgui_ctx.push_id("own" if own else "next"):
+        if own and i is not None:
+            _selected(view, i)
+        else:
+            _next(view)
 
 
 def _next(view: View) -> None:
     tools = view.tools
     if tools.pen and tools.brush not in ("pin", *MASKS):
         label("Pen", "How much of a stroke is made: by the greatest pressure of its drag; of a painting, the present")
-        changed, pressing = imgui.checkbox("pressure sets strength", tools.pressing)
-        if changed:
-            tools.pressing = pressing
+        _, tools.pressing = imgui.checkbox("pressure sets strength", tools.pressing)
     simple = tools.brush in MASKS | PAINTINGS
     if view.stage.kind == "video" and not simple:
         _kind(view)
     for name, value in _numbers(view, tools.next_stroke, simple).items():
         setattr(tools, name, value)
     for name in ("thaw all", "invert frozen") if tools.brush in MASKS else ():
-        imgui.begin_disabled(not ACTIONS[name].able(view))
-        if imgui.button(ACTIONS[name].text, (REST, 0)):
+        if button(ACTIONS[name].text, enabled=ACTIONS[name].able(view)):
             ACTIONS[name].do(view)
-        imgui.end_disabled()
     if tools.brush in PAINTINGS:
         tip = "The part of the way that a click brings it"
         tools.strength = slider("Strength", tools.strength, LIGHTEST, 1.0, tip=tip)
@@ -181,8 +177,8 @@ def _bulging() -> None:
     for k, poisson in enumerate((-1.0, 0.5)):
         left = at.x + k * (_SMALL + 20)
         lines.add_text((left, at.y), theme.GREY, f"{poisson:g}")
-        for line in _pulled(poisson):
-            points: list[Any] = [imgui.ImVec2(left + x, at.y + 18 + y) for x, y in line]
+        for way in _pulled(poisson):
+            points: list[Any] = [imgui.ImVec2(left + x, at.y + 18 + y) for x, y in way]
             lines.add_polyline(points, col=theme.SOFT, thickness=1.0, flags=imgui.ImDrawFlags_.none)
     imgui.dummy((2 * _SMALL + 20, _SMALL + 20))
 
@@ -241,27 +237,14 @@ def strokes(view: View) -> None:
             else "Drag in a plane, or on the object, to make one."
         )
         return
-    row = imgui.get_frame_height_with_spacing()
-    listing("strokes", count, 6, row)
-    if view.listed != state.selected:  # follow selections made elsewhere
-        view.listed = state.selected
-        if state.selected is not None:
-            imgui.set_scroll_y(row * (state.selected + 0.5) - 0.5 * imgui.get_window_height())
-    clipper = imgui.ListClipper()
-    clipper.begin(count, row)
-    while clipper.step():
-        for i in range(clipper.display_start, clipper.display_end):
-            _row(view, i, state.strokes[i], state.selected == i)
-    imgui.end_child()
+    for i in rows(view, "strokes", count, 6, state.selected):
+        _row(view, i, state.strokes[i], state.selected == i)
 
 
 def _row(view: View, i: int, stroke: Stroke, selected: bool) -> None:
     document = view.document
-    imgui.push_id(i)
-    if icon_button("seen", HIDDEN if stroke.hidden else SEEN, imgui.get_frame_height()):
+    if eye(stroke.hidden):
         view.attempt(lambda: document.hide(i, not stroke.hidden))
-    hint("Hidden: click to show it" if stroke.hidden else "Seen: click to hide it")
-    imgui.same_line()
     short = document.misses(i)
     unit = "" if document.space is None else f" mm {document.space}"
     before = last_freeze(document.strokes[:i]) or document.state.rest.freeze
@@ -269,15 +252,12 @@ def _row(view: View, i: int, stroke: Stroke, selected: bool) -> None:
     coloured = short or (stroke.hidden and not selected)  # faint text is hard to read in a selected row
     if coloured:
         imgui.push_style_color(imgui.Col_.text, theme.FAINT if stroke.hidden else theme.WARNING)
-    imgui.push_style_var(imgui.StyleVar_.selectable_text_align, (0.0, 0.5))
-    if imgui.selectable(f"{text}##row", selected, size=(0, imgui.get_frame_height()))[0]:
+    if entry(f"{text}##row", selected):
         view.own = True
         view.attempt(lambda: document.select(None if selected else i))
-    imgui.pop_style_var()
     if coloured:
         imgui.pop_style_color()
     hint(lambda: described(document.as_saved(stroke), document.arrival(i), unit, document.place))
-    imgui.pop_id()
 
 
 def _selected(view: View, i: int) -> None:
@@ -300,20 +280,15 @@ def _selected(view: View, i: int) -> None:
             if axis:
                 imgui.same_line(0, gap)
             imgui.set_next_item_width(wide)
-            entered, value = typed(view, f"##{name}{axis}", values[axis], "%.1f", f"{said} {axes[axis]}")
-            if entered and math.isfinite(value):
+            value = typed(view, f"##{name}{axis}", values[axis], "%.1f", f"{said} {axes[axis]}")
+            if value is not None and math.isfinite(value):
                 values[axis] = value
                 changed: dict[str, Any] = {name: tuple(values)}
                 moved = document.as_edited(replace(saved, **changed))
                 entries[name] = getattr(moved, name)
-    for name, said, number, form in (
-        ("angle", "Angle", stroke.angle, "%.1f\u00b0"),
-        ("factor", "Factor", stroke.factor, "%.3f"),
-    ):
-        if number is None:  # another brush's
-            continue
-        entered, now = typed(view, said, number, form)
-        if entered:
+    for name, form in ("angle", "%.1f\u00b0"), ("factor", "%.3f"):
+        number = getattr(stroke, name)  # None for other brushes
+        if number is not None and (now := typed(view, name.capitalize(), number, form)) is not None:
             entries[name] = now
     if entries:
         view.attempt(lambda: document.change(i, view.tools.paired(stroke, replace(stroke, **entries))))
@@ -322,7 +297,8 @@ def _selected(view: View, i: int) -> None:
     strength = slider("Strength", stroke.strength, LEAST, MOST, tip=tip)
     if strength != stroke.strength:
         changes["strength"] = strength
-    _live(view, i, own, stroke, changes)
+    if changes:
+        drag(view, i, lambda: document.preview_as(edited(own, stroke, replace(stroke, **changes), document.frame)))
     if stroke.also:
         wrapped(f"Also to drag in the picture: {others(stroke)}.")
     if view.stage.kind == "video" and not document.timed:
@@ -337,45 +313,29 @@ def _order(view: View, i: int) -> None:
     count = len(document.state.strokes)
     wide = (imgui.get_content_region_avail().x - 2 * imgui.get_style().item_spacing.x) / 3
     for text, step, tip in (("Earlier", -1, "Apply it before"), ("Later", 1, "Apply it after")):
-        imgui.begin_disabled(not 0 <= i + step < count)
-        if imgui.button(text, (wide, 0)):
+        if button(text, wide, f"{tip} the stroke that is next to it", enabled=0 <= i + step < count):
             view.attempt(partial(document.move, i, i + step))
-        imgui.end_disabled()
-        hint(f"{tip} the stroke that is next to it")
         imgui.same_line()
-    if imgui.button("Delete", (wide, 0)):
+    if button("Delete", wide, "Delete the stroke (Delete)"):
         view.attempt(lambda: document.remove(i))
-    hint("Delete the stroke (Delete)")
 
 
 def _amount(view: View) -> None:
     document = view.document
     tip = "How much of all strokes is applied: less takes back, below 0 they do the opposite"
     amount = slider("Amount", document.state.rest.amount, LEAST, MOST, tip=tip)
-    changed = amount != document.state.rest.amount
-    if changed:
-        _begin(view, None)
-    if changed and document.dragging:
-        view.attempt(lambda: document.preview_rest(amount=amount))
-    end_drag(view)
+    if amount != document.state.rest.amount:
+        drag(view, None, lambda: document.preview_rest(amount=amount))
 
 
-def _begin(view: View, i: int | None) -> None:
-    """Begin a drag of the document, for a slider."""
+def drag(view: View, i: int | None, preview: Callable[[], object]) -> None:
+    """Show the changes of a slider at once, by a drag of the document: they are one step while it is held."""
     if not view.document.dragging:
         if isinstance(view.tools, VideoTools):
             view.tools.playback.pause()
         view.attempt(lambda: view.document.begin_drag(i))
-
-
-def _live(view: View, i: int, stroke: Stroke, now: Stroke, made: dict[str, Any]) -> None:
-    """Show changes of a stroke at once: they are one step for as long as a slider is held."""
-    document = view.document
-    if made:
-        _begin(view, i)
-    if made and document.dragging:
-        view.attempt(lambda: document.preview_as(edited(stroke, now, replace(now, **made), document.frame)))
-    end_drag(view)
+    if view.document.dragging:
+        view.attempt(preview)
 
 
 def end_drag(view: View) -> None:
@@ -394,9 +354,9 @@ def _arrival(view: View, i: int) -> None:
     if arrival is not None and arrival.miss > NEAR:
         cause = CAUSES[arrival.cause or "border"]
         wrapped(f"Its point ends {arrival.miss:.3g} {unit} from its target: {cause}.", colour=theme.WARNING)
-        if document.state.on_fold != "flow" and imgui.button("Go all the way, in small steps", (REST, 0)):
+        way, tip = "Go all the way, in small steps", "No step folds; for all strokes"
+        if document.state.rest.on_fold != "flow" and button(way, tip=tip):
             view.attempt(lambda: document.set_rest(on_fold="flow"))
-        hint("No step folds; for all strokes")
     if (said := document.warning(i)) is not None and "as far as is possible" in said:
         wrapped(f"{said.partition(':')[0]}.", colour=theme.WARNING)
     if arrival is not None and (carrier := document.carrier(i)) is not None:
@@ -412,8 +372,8 @@ def folds(view: View) -> None:
         return
     document = view.document
     tip = "What happens where a stroke is so strong that the picture would fold over itself"
-    policy = choice("If it folds", document.state.on_fold, FOLDS, tip)
-    if policy != document.state.on_fold:
+    policy = choice("If it folds", document.state.rest.on_fold, FOLDS, tip)
+    if policy != document.state.rest.on_fold:
         view.attempt(lambda: document.set_rest(on_fold=policy))
     border = document.state.rest.border
     label("Border", "A fixed border stays where it is; what is on a free one moves, and leaves a gap")
@@ -429,6 +389,6 @@ def folds(view: View) -> None:
         widths = document.deformation.domain.border_widths or (1.0,)
         view.attempt(lambda: document.set_rest(border="auto" if tenth else max(min(widths), 1.0)))
     if isinstance(border, float):
-        entered, value = typed(view, "Its width", border, "%.1f")
-        if entered:
+        value = typed(view, "Its width", border, "%.1f")
+        if value is not None:
             view.attempt(lambda: document.set_rest(border=value))

@@ -12,6 +12,7 @@ import numpy.typing as npt
 from supple.media.image import Picture
 from supple.media.image.display import in_srgb
 from supple.media.medium import Clip
+from supple.render.picture import linear_light, srgb_of
 
 Array = npt.NDArray[Any]
 Floats = npt.NDArray[np.float32]
@@ -132,7 +133,7 @@ def _light(name: str) -> Floats:
     elif name == "linear":
         made = code
     else:
-        made = np.where(code <= 0.04045, code / 12.92, ((code + 0.055) / 1.055) ** 2.4)
+        made = linear_light(code)
     return np.asarray(made, np.float32)
 
 
@@ -168,6 +169,4 @@ def _dimmed() -> Floats:
 def _encoded() -> Pixels:
     """Return the sRGB of light, by its square root."""
     light = (np.arange(_STEPS + 1) / _STEPS) ** 2
-    return np.asarray(
-        np.rint(255 * np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)), np.uint8
-    )
+    return np.asarray(np.rint(255 * srgb_of(light)), np.uint8)

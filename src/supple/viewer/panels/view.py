@@ -231,12 +231,8 @@ class View:
 
     def __post_init__(self) -> None:
         self.overlay = ""  # one of `supple.gpu.plate.OVERLAYS`
-        self.brush, self.own = (
-            self.tools.brush,
-            False,
-        )  # the last brush, and whether the selected stroke's numbers are seen
-        self.listed: int | None = None  # the stroke that the list has scrolled to
-        self.reached: int | None = None  # and the step of the history
+        self.brush, self.own = self.tools.brush, False  # the last one; whether the selected stroke's numbers are seen
+        self.listed: dict[str, int | None] = {}  # the rows to which lists have scrolled
         self.faces: tuple[Face, ...] | str | None = None  # of the picture, or why there are none; None at first
         self.face = 0  # the index of the face whose sliders are shown
         self.moved_face: tuple[int | None, Face] | None = None  # its stroke's index, and landmarks before the stroke

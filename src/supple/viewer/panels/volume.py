@@ -9,14 +9,14 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from imgui_bundle import imgui
+from imgui_bundle import imgui, imgui_ctx
 
 from supple.render.box import whole_box
 from supple.render.transfer import LABELS, PRESETS, TransferFunction
 from supple.viewer.panels import theme
 from supple.viewer.panels.stages import VolumeStage
 from supple.viewer.panels.view import View
-from supple.viewer.panels.widgets import LABEL, REST, choice, hint, label, section, slider, toggle, typed, wrapped
+from supple.viewer.panels.widgets import LABEL, REST, button, choice, hint, label, section, slider, typed, wrapped
 from supple.viewer.tools.planes import ends_of
 from supple.viewer.tools.volumes import VolumeTools
 
@@ -35,9 +35,8 @@ def draw(view: View) -> None:
     window = stage.density or (low, high)
     wide, transfer = imgui.get_content_region_avail().x, stage.scene.transfer
     if isinstance(transfer, TransferFunction):
-        imgui.push_style_color(imgui.Col_.plot_histogram, theme.FAINT)
-        imgui.plot_histogram("##histogram", stage.histogram, graph_size=(wide, 50))
-        imgui.pop_style_color()
+        with imgui_ctx.push_style_color(imgui.Col_.plot_histogram, imgui.ImVec4(*theme.FAINT)):
+            imgui.plot_histogram("##histogram", stage.histogram, graph_size=(wide, 50))
         hint("How many voxels have which value, on a logarithmic scale, and the opacity of each")
         _curve(stage, transfer)
     for k, said in enumerate(("Values from", "to")):
@@ -50,9 +49,9 @@ def draw(view: View) -> None:
         _transfer(view, stage, transfer)
     _cutting(view, stage)
     if stage.apart:
-        if toggle("Table", stage.table, REST):
+        tip = "Render what lies thin beside the body too, as a table or a head holder does"
+        if button("Table", tip=tip, on=stage.table):
             _show(view, lambda: stage.set_table(not stage.table))
-        hint("Render what lies thin beside the body too, as a table or a head holder does")
     filling = view.filled < 1.0 and not view.tools.original
     if filling and not view.document.deformation.is_identity:
         imgui.progress_bar(view.filled, (REST, 6), "")
@@ -80,10 +79,8 @@ def _cutting(view: View, stage: VolumeStage) -> None:
         (first, last), at = whole[k], float(tools.index[k])
         left = (max(at, first), last) if side == 0 else (first, min(at, last))
         on = box[k] == left != whole[k]
-        imgui.begin_disabled(left[0] >= left[1])
-        if toggle(f"{named[k][side]}##cut", on, (beside - 5 * gap) / 6):
+        if button(f"{named[k][side]}##cut", (beside - 5 * gap) / 6, on=on, enabled=left[0] < left[1]):
             _show(view, partial(stage.cut, (*box[:k], whole[k] if on else left, *box[k + 1 :])))
-        imgui.end_disabled()
         if (k, side) != (2, 1):
             imgui.same_line()
     for k, (first, last) in enumerate(whole):
@@ -98,10 +95,8 @@ def _cutting(view: View, stage: VolumeStage) -> None:
             low = min(round(from_), high - 1) if from_ != low else low
             high = max(round(to), low + 1) if to != high else high
             _show(view, partial(stage.cut, (*box[:k], (float(low), float(high)), *box[k + 1 :])))
-    imgui.begin_disabled(box == whole)
-    if imgui.button("Show all"):
+    if button("Show all", 0.0, enabled=box != whole):
         _show(view, partial(stage.cut, None))
-    imgui.end_disabled()
     imgui.tree_pop()
 
 
@@ -113,18 +108,17 @@ def _transfer(view: View, stage: VolumeStage, transfer: TransferFunction) -> Non
     for k, (value, red, green, blue, opacity) in enumerate(points):
         imgui.push_id(k)
         imgui.set_next_item_width(0.28 * wide)
-        entered, moved = typed(view, f"##value{k}", value, "%.3g", "The value, as a part of the range")
+        moved = typed(view, f"##value{k}", value, "%.3g", "The value, as a part of the range")
         imgui.same_line()
         painted, colour = imgui.color_edit3("##colour", [red, green, blue], imgui.ColorEditFlags_.no_inputs)
         hint("Its colour")
         imgui.same_line()
         imgui.set_next_item_width(0.34 * wide)
         seen = slider("##opacity", opacity, 0.0, 1.0, "%.2f", "Its opacity")
-        if entered or painted or seen != opacity:
-            points[k] = [moved, *colour, seen]
+        if moved is not None or painted or seen != opacity:
+            points[k] = [value if moved is None else moved, *colour, seen]
         imgui.same_line()
-        removed = imgui.button("x") and len(points) > 2
-        hint("Remove the point")
+        removed = button("x", 0.0, "Remove the point") and len(points) > 2
         imgui.pop_id()
         if removed:
             del points[k]

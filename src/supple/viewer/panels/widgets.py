@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import TypeVar
 
-from imgui_bundle import imgui
+from imgui_bundle import imgui, imgui_ctx
 
 from supple.viewer.document.background import Task
 from supple.viewer.document.settings import keep
 from supple.viewer.panels import theme
 from supple.viewer.panels.view import View
+from supple.viewer.tools.drawing import Pair
 
 LABEL = 104.0  # logical pixels of the labels before fields
 _RESTING = int(imgui.HoveredFlags_.delay_short | imgui.HoveredFlags_.allow_when_disabled)
@@ -31,13 +33,30 @@ def section(view: View, name: str, text: str = "", *, shown: bool = False) -> bo
     opened = view.sections.get(name, shown or name not in FOLDED)
     imgui.spacing()
     imgui.set_next_item_open(opened)
-    imgui.push_style_color(imgui.Col_.header, theme.LINE)
-    now = imgui.collapsing_header(f"{text or name}###{name}")
-    imgui.pop_style_color()
+    with imgui_ctx.push_style_color(imgui.Col_.header, imgui.ImVec4(*theme.LINE)):
+        now = imgui.collapsing_header(f"{text or name}###{name}")
     if now != opened:
         view.sections[name] = now
         keep(sections=view.sections)
     return now
+
+
+@contextlib.contextmanager
+def pinned(
+    name: str, place: Pair, size: Pair, padding: Pair = (12, 8), ground: theme.Colour = theme.RAIL
+) -> Iterator[None]:
+    """Draw the controls of the block in a part of the window that stays where it is."""
+    imgui.set_next_window_pos(place)
+    imgui.set_next_window_size(size)
+    imgui.push_style_var(imgui.StyleVar_.window_padding, padding)
+    imgui.push_style_var(imgui.StyleVar_.window_rounding, 0.0)
+    imgui.push_style_color(imgui.Col_.window_bg, ground)
+    flags = imgui.WindowFlags_.no_decoration | imgui.WindowFlags_.no_move
+    imgui.begin(name, None, flags | imgui.WindowFlags_.no_bring_to_front_on_focus)
+    yield
+    imgui.end()
+    imgui.pop_style_color()
+    imgui.pop_style_var(2)
 
 
 def label(text: str, tip: str = "", picture: Callable[[], None] | None = None) -> None:
@@ -51,9 +70,8 @@ def label(text: str, tip: str = "", picture: Callable[[], None] | None = None) -
 
 def wrapped(text: str, wide: float = 0.0, colour: theme.Colour = theme.FAINT) -> None:
     """Draw a text in lines of a width, or of that of the panel."""
-    imgui.push_text_wrap_pos(wide)
-    imgui.text_colored(colour, text)
-    imgui.pop_text_wrap_pos()
+    with imgui_ctx.push_text_wrap_pos(wide):
+        imgui.text_colored(colour, text)
 
 
 def elided(text: str, wide: float) -> str:
@@ -79,18 +97,25 @@ def primary(text: str, wide: float = REST) -> bool:
     return pressed
 
 
-def toggle(text: str, on: bool, wide: float) -> bool:
-    """Draw a button that shows whether it is on; return whether it was pressed."""
+def button(
+    text: str, wide: float = REST, tip: str | Callable[[], str] = "", *, on: bool = False, enabled: bool = True
+) -> bool:
+    """Draw a button, which may show that it is on; return whether it was pressed."""
+    imgui.begin_disabled(not enabled)
     if on:
         imgui.push_style_color(imgui.Col_.button, theme.PRIMARY)
     pressed = imgui.button(text, (wide, 0))
-    if on:
-        imgui.pop_style_color()
+    imgui.pop_style_color(int(on))
+    imgui.end_disabled()
+    hint(tip)
     return pressed
 
 
-def icon_button(name: str, icon: str, size: float, on: bool = False, enabled: bool = True) -> bool:
-    """Draw a button with an icon; return whether it was pressed."""
+def icon_button(
+    name: str, icon: str, tip: str | Callable[[], str], size: float = 0.0, *, on: bool = False, enabled: bool = True
+) -> bool:
+    """Draw a button with an icon, by default as high as a field; return whether it was pressed."""
+    size = size or imgui.get_frame_height()
     imgui.begin_disabled(not enabled)
     pressed = imgui.invisible_button(name, (size, size))
     imgui.end_disabled()
@@ -102,14 +127,22 @@ def icon_button(name: str, icon: str, size: float, on: bool = False, enabled: bo
         lines.add_rect_filled((low.x, low.y), (high.x, high.y), theme.packed(ground), 6.0)
     colour = theme.packed((1.0, 1.0, 1.0, 1.0) if on else theme.TEXT, 1.0 if enabled else 0.3)
     theme.draw_icon(lines, icon, (0.5 * (low.x + high.x), 0.5 * (low.y + high.y)), round(0.5 * size), colour)
+    hint(tip)
     return bool(pressed)
+
+
+def eye(hidden: bool) -> bool:
+    """Draw the button that hides the item of a row, or shows it; return whether it was pressed."""
+    tip = "Hidden: click to show it" if hidden else "Seen: click to hide it"
+    pressed = icon_button("seen", theme.HIDDEN if hidden else theme.SEEN, tip)
+    imgui.same_line()
+    return pressed
 
 
 def progress(task: Task) -> bool:
     """Draw the progress of a task, and the button that cancels it; return whether the button was pressed."""
-    imgui.push_style_color(imgui.Col_.plot_histogram, theme.FULL)
-    imgui.progress_bar(task.progress, (-80, imgui.get_frame_height()), f"{100 * task.progress:.0f} %")
-    imgui.pop_style_color()
+    with imgui_ctx.push_style_color(imgui.Col_.plot_histogram, imgui.ImVec4(*theme.FULL)):
+        imgui.progress_bar(task.progress, (-80, imgui.get_frame_height()), f"{100 * task.progress:.0f} %")
     imgui.same_line()
     return bool(imgui.button("Cancel", (REST, 0)))
 
@@ -161,31 +194,53 @@ def slider(
     return min(max(now / unit, low), high) if changed else value
 
 
-def listing(name: str, count: int, most: int, row: float) -> None:
-    """Begin a list of ``count`` rows, of height ``row``; at most ``most`` of them are visible at once."""
-    style = imgui.get_style()
+def rows(view: View, name: str, count: int, most: int, now: int | None = None, *, text: bool = False) -> Iterator[int]:
+    """Draw a list of ``count`` rows of fields, or of text; yield the index of each that is to be drawn.
+
+    At most ``most`` of them are visible at once. The list scrolls to row ``now`` when that has become another one.
+    """
+    row, style = (
+        (imgui.get_frame_height_with_spacing, imgui.get_text_line_height_with_spacing)[text](),
+        imgui.get_style(),
+    )
     height = row * max(min(count, most), 1) - style.item_spacing.y + 2 * style.frame_padding.y
     imgui.begin_child(name, (0, height), imgui.ChildFlags_.frame_style)
+    if view.listed.get(name) != now:
+        view.listed[name] = now
+        if now is not None:
+            imgui.set_scroll_y(row * (now + 0.5) - 0.5 * imgui.get_window_height())
+    clipper = imgui.ListClipper()
+    clipper.begin(count, row)
+    while clipper.step():
+        for i in range(clipper.display_start, clipper.display_end):
+            imgui.push_id(i)
+            yield i
+            imgui.pop_id()
+    imgui.end_child()
 
 
-def typed(view: View, name: str, value: float, form: str, tip: str = "") -> tuple[bool, float]:
-    """Draw a field for a number; return whether it is entered, by Enter or by leaving it, and the number."""
+def entry(text: str, on: bool, wide: float = 0.0) -> bool:
+    """Draw a text that can be clicked, as high as a field; return whether it was."""
+    with imgui_ctx.push_style_var(imgui.StyleVar_.selectable_text_align, (0.0, 0.5)):
+        return imgui.selectable(text, on, size=(wide, imgui.get_frame_height()))[0]
+
+
+def typed(view: View, name: str, value: float, form: str, tip: str = "") -> float | None:
+    """Draw a field for a number; return the number once it is entered, by Enter or by leaving the field."""
     name = _labelled(name, tip)
     changed, now = imgui.input_float(name, value, 0.0, 0.0, form)
     if changed:
         view.typed[name] = now
-    over = imgui.is_item_deactivated_after_edit() and name in view.typed
+    over = imgui.is_item_deactivated_after_edit()
     hint(tip)
-    return over, view.typed.pop(name) if over else value
+    return view.typed.pop(name, None) if over else None
 
 
 def hint(text: str | Callable[[], str], picture: Callable[[], None] | None = None) -> None:
     """Show a hint if the pointer rests on the last item; only then are functions called, for a text or a picture."""
     if text and imgui.is_item_hovered(_RESTING):
-        imgui.begin_tooltip()
-        imgui.push_text_wrap_pos(320.0)
-        imgui.text(text if isinstance(text, str) else text())
-        imgui.pop_text_wrap_pos()
-        if picture is not None:
-            picture()
-        imgui.end_tooltip()
+        with imgui_ctx.begin_tooltip():
+            with imgui_ctx.push_text_wrap_pos(320.0):
+                imgui.text(text if isinstance(text, str) else text())
+            if picture is not None:
+                picture()

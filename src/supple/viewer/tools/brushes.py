@@ -23,8 +23,6 @@ STEEPEST = 2.0  # the largest slope of the line of symmetry, `lean`
 ZOOM = 1.2  # the zoom factor of a notch of the wheel, which is 100
 
 _LEFT, _RIGHT, _MIDDLE = 1, 2, 3
-_CUBE, _LEVEL, _CORNER = "cube", "level", "corner"
-_LINES: dict[Tool, str] = {"level": _LEVEL, "keystone": _CORNER}  # the tools that straighten, and their drags
 LEAST = 20.0  # logical pixels of a line that shall be level
 
 
@@ -88,30 +86,16 @@ class ImageTools(Tools[Viewport]):
         x, y = 0.25 * (width - 1), 0.25 * (height - 1)
         return (x, y), (3 * x, y), (3 * x, 3 * y), (x, 3 * y)
 
-    @property
-    def dragging(self) -> bool:
-        """True if a stroke, or a corner of the keystone's frame, is being dragged."""
-        gesture = self._gesture
-        return super().dragging or (isinstance(gesture, Lead) and gesture.how == _CORNER and self.document.dragging)
-
-    def _on_pointer_down(self, event: Event) -> bool:
-        if self._gesture is None and self.corners:
-            seen = [math.dist(self.view.to_canvas(*p), (event["x"], event["y"])) for p in self.corners]
-            k = seen.index(min(seen))
-            self._corner = k, self.view.to_canvas(*self.corners[k])
-        return super()._on_pointer_down(event)
-
-    def _follow(self, gesture: Held | Lead[Viewport], place: Pair) -> None:
-        document = self.document
-        if isinstance(gesture, Held) or gesture.how != _CORNER:
-            super()._follow(gesture, place)
-            return
-        gesture.now = place
-        if gesture.moved and not document.dragging:
+    def _drag_corner(self, lead: Lead[Viewport]) -> None:
+        document, corners = self.document, list(self.corners)
+        if lead.moved and not document.dragging:
+            seen = [self.view.to_canvas(*p) for p in corners]
+            k = min(range(4), key=lambda k: math.dist(seen[k], lead.start))
+            self._corner = k, seen[k]
             document.begin_drag()
         if document.dragging:  # the corner keeps its distance from the pointer
-            corners, (k, (u, v)), (a, b), (x, y) = list(self.corners), self._corner, gesture.start, place
-            corners[k] = self.view.to_image(u + x - a, v + y - b)
+            (k, (u, v)), (x, y) = self._corner, lead.gone
+            corners[k] = self.view.to_image(u + x, v + y)
             try:
                 made = replace(document.state.rest.straighten or Straighten(), keystone=tuple(corners))
                 made.on(self.view.image_size)
@@ -122,18 +106,23 @@ class ImageTools(Tools[Viewport]):
     @property
     def line(self) -> tuple[Pair, Pair] | None:
         """The ends, on the canvas, of the line that is drawn to be level."""
-        gesture = self._gesture
-        return (gesture.start, gesture.now) if isinstance(gesture, Lead) and gesture.how == _LEVEL else None
+        lead = self._lead(self._draw_line)
+        return None if lead is None else (lead.start, lead.now)
 
-    def _released(self) -> bool:
-        line, document, gesture = self.line, self.document, self._gesture
-        if isinstance(gesture, Lead) and gesture.how == _CORNER:
-            self._gesture, self._refused = None, document.trouble
-            return document.dragging and document.commit()
-        if line is not None and math.dist(*line) >= LEAST:
+    def _draw_line(self, lead: Lead[Viewport]) -> None:
+        """Draw a line that shall be level, whose ends are those of the drag."""
+
+    def _let_go(self, lead: Lead[Viewport]) -> bool:
+        document = self.document
+        if lead.follow == self._drag_corner:
+            self._refused = document.trouble
+            if document.dragging:
+                document.commit()
+            return True
+        if lead.follow == self._draw_line and math.hypot(*lead.gone) >= LEAST:
             known = document.state.rest.straighten or Straighten()
-            document.set_rest(straighten=known.levelled(*(self.view.to_image(*end) for end in line)))
-        return super()._released()
+            document.set_rest(straighten=known.levelled(*(self.view.to_image(*end) for end in (lead.start, lead.now))))
+        return super()._let_go(lead)
 
     @property
     def hover(self) -> tuple[float, ...] | None:
@@ -143,7 +132,7 @@ class ImageTools(Tools[Viewport]):
     @property
     def ring(self) -> float | None:
         """The brush's radius under the pointer, in logical pixels; None outside of the canvas."""
-        held, pointer = self.held, None if self.brush in _LINES else self.pointer
+        held, pointer = self.held, None if self.brush in ("level", "keystone") else self.pointer
         if pointer is None or holding({0: self.place}, *pointer) is None:
             return None
         return (self.radius if held is None else held.stroke.radius) * self._scale(())
@@ -173,8 +162,13 @@ class ImageTools(Tools[Viewport]):
         point, other = self.view.to_image(*place), 1 - self.across
         return point[self.across] - self.lean * (point[other] - self.mirror(2)[0][other])
 
-    def _tilted(self, place: Pair, about: Pair) -> None:
-        """Tilt the line of symmetry about a place of the canvas, or set it upright if it nearly is."""
+    @property
+    def _knobs(self) -> dict[Callable[[Lead[Viewport]], None], Pair | None]:
+        return {**super()._knobs, self._tilt: self.tilt}
+
+    def _tilt(self, lead: Lead[Viewport]) -> None:
+        """Tilt the line of symmetry about its lower knob, or set it upright if it nearly is."""
+        place, about = (lead.now[0], lead.start[1]), self._on_axis(sum(self.place[1::2]) - GRIP)
         across, other, p, q = self.across, 1 - self.across, self.view.to_image(*place), self.view.to_image(*about)
         self.lean, self.middle = 0.0, q[across]
         if abs(self._on_axis(place[1])[0] - place[0]) >= CLICK:
@@ -194,11 +188,12 @@ class ImageTools(Tools[Viewport]):
     def _scale(self, point: tuple[float, ...]) -> float:
         return self.view.zoom
 
-    def _led(self, how: str, view: Viewport, dx: float, dy: float) -> Viewport:
-        return view.pan(dx, dy) if how == "pan" else view
+    def _pan(self, lead: Lead[Viewport]) -> None:
+        self.view = lead.base.pan(*lead.gone)
 
-    def _leads(self, event: Event) -> str | None:
-        return "pan" if pans(event) else _LINES.get(self.brush) if event.get("button") == _LEFT else None
+    def _leads(self, event: Event) -> Callable[[Lead[Viewport]], None] | None:
+        lines = {"level": self._draw_line, "keystone": self._drag_corner}
+        return self._pan if pans(event) else lines.get(self.brush) if event.get("button") == _LEFT else None
 
     def _turn(self, event: Event, amount: float) -> None:
         if commanded(event):
@@ -315,7 +310,7 @@ class VideoTools(ImageTools):
             "i": playback.mark_in,
             "o": playback.mark_out,
             "u": playback.unmark,
-            "l": lambda: playback.set_loop(not playback.loop),
+            "l": lambda: setattr(playback, "loop", not playback.loop),
             "j": lambda: self.go_to_key(-1),
             "k": lambda: self.go_to_key(1),
         }

@@ -18,11 +18,11 @@ MODES = {
 }
 """The ways to compare, and what they show."""
 SHARES = {
-    "blend": ("Share", "How much of the fixed volume is seen", 0.0, 1.0, "%.0f %%"),
-    "checkerboard": ("Squares", "The side of a square", 2.0, 100.0, "%.0f mm"),
-    "difference": ("Contrast", "What a difference is multiplied by", 0.5, 8.0, "\u00d7 %.1f"),
+    "blend": (0.5, "Share", "How much of the fixed volume is seen", 0.0, 1.0, "%.0f %%"),
+    "checkerboard": (20.0, "Squares", "The side of a square", 2.0, 100.0, "%.0f mm"),
+    "difference": (1.0, "Contrast", "What a difference is multiplied by", 0.5, 8.0, "\u00d7 %.1f"),
 }
-"""The setting of a way to compare, if it has one: its name, its hint, its least and largest value, and its format."""
+"""The setting of a way to compare, if it has one: its first, least and largest value, name, hint and format."""
 
 
 @dataclass(slots=True)
@@ -31,9 +31,7 @@ class Comparison:
 
     window: tuple[float, float]  # the values of the fixed one that are black and white at first
     mode: str = "beside"  # one of `MODES`
-    shares: dict[str, float] = field(  # the values of the settings in `SHARES`
-        default_factory=lambda: {"blend": 0.5, "checkerboard": 20.0, "difference": 1.0}
-    )
+    shares: dict[str, float] = field(default_factory=lambda: {name: first for name, (first, *_) in SHARES.items()})
 
     @property
     def beside(self) -> bool:
@@ -44,11 +42,6 @@ class Comparison:
     def look(self) -> tuple[object, ...]:
         """Everything that a picture of both depends on, except their samples and windows."""
         return self.mode, self.shares.get(self.mode)
-
-    def turn(self) -> None:
-        """Go on to the next mode."""
-        modes = list(MODES)
-        self.mode = modes[(modes.index(self.mode) + 1) % len(modes)]
 
     def compared(self, bent: Pixels, fixed: Pixels, spacing: tuple[float, float]) -> Pixels:
         """Return one picture of both planes, (rows, columns, 4); ``spacing`` is a pixel's height and width, in mm."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
@@ -23,7 +23,6 @@ _KEPT = "this frame is kept, as those at the ends are: choose another, or fewer 
 _BENT = "the frames at the ends are bent, too, as you begin in one: Keep ends, in Export, keeps them as they are"
 _STAYS = "this place is frozen, and no stroke moves it: thaw it first (V)"
 _LEFT, _RIGHT = 1, 2
-_CUT, _LINE, _TILT, _SIZE = "cut", "line", "tilt", "size"
 _MOST = 1e4  # the largest turn of the wheel at once: larger powers overflow
 _REQUESTS = {"s": "save", "o": "open", "e": "export"}
 COMMANDS = frozenset((*_REQUESTS, "z", "y", "h"))  # letters that do something together with Control
@@ -32,15 +31,20 @@ _BRUSHES = {key.lower(): name for name, (key, _) in BRUSHES.items()}
 
 @dataclass(slots=True)
 class Lead(Generic[V]):
-    """A view moved by the pointer, while the button is down."""
+    """A drag of something else than a stroke, such as the view, while the button is down."""
 
-    how: str
+    follow: Callable[[Lead[V]], None]  # called after each move
     button: int
-    before: V  # at the start of the drag
+    before: V  # the view at the start of the drag
     base: V  # with the pointer at `start`
     start: Pair
     now: Pair
     travelled: bool = False
+
+    @property
+    def gone(self) -> Pair:
+        """The way of the pointer from `start`."""
+        return self.now[0] - self.start[0], self.now[1] - self.start[1]
 
     @property
     def moved(self) -> bool:
@@ -78,13 +82,18 @@ class Tools(Drawing, Generic[V]):
     @property
     def sizing(self) -> Pair | None:
         """Where a drag of the brush's size began."""
+        lead = self._lead(self._size)
+        return None if lead is None else lead.start
+
+    def _lead(self, follow: Callable[[Lead[V]], None]) -> Lead[V] | None:
+        """Return the present gesture if it is of a kind."""
         gesture = self._gesture
-        return gesture.start if isinstance(gesture, Lead) and gesture.how == _SIZE else None
+        return gesture if isinstance(gesture, Lead) and gesture.follow == follow else None
 
     @property
     def dragging(self) -> bool:
-        """True if a stroke is being dragged."""
-        return self.held is not None and self.document.dragging
+        """True if a stroke, or a corner of the keystone's frame, is being dragged."""
+        return self._gesture is not None and self.document.dragging
 
     @property
     def mask(self) -> Freeze | None:
@@ -125,11 +134,6 @@ class Tools(Drawing, Generic[V]):
             self.document.abandon()
         return gesture is not None
 
-    @property
-    def knob(self) -> Pair | None:
-        """The position of the knob of the split in the view under the pointer; None without a split."""
-        return self.knob_in(self.place)
-
     def knob_in(self, place: Place) -> Pair | None:
         """Return the position of the knob of the split in a view; None without a split."""
         left, top, width, height = place
@@ -141,14 +145,14 @@ class Tools(Drawing, Generic[V]):
         """The position of the knob of the line of symmetry in the view under the pointer; None where it has none."""
 
     @property
-    def tilt(self) -> Pair | None:
-        """The position of the knob that tilts that line; None where it stays upright."""
-        return None
+    def _knobs(self) -> dict[Callable[[Lead[V]], None], Pair | None]:
+        """The positions of the knobs in the view under the pointer, and what a drag of each does."""
+        return {self._cut: self.knob_in(self.place), self._lay: self.grip}
 
     @property
-    def _beside(self) -> str:
-        """The left button's effect on the view where there is nothing to grab."""
-        return "click"
+    def _beside(self) -> Callable[[Lead[V]], None]:
+        """What a drag with the left button does where there is nothing to grab."""
+        return lambda lead: None
 
     # Each kind of media has methods of its own for these.
 
@@ -166,16 +170,9 @@ class Tools(Drawing, Generic[V]):
     def _level(self, place: Pair) -> float:
         """Return the coordinate, along the axis across the line of symmetry, of a position of the canvas."""
 
-    def _tilted(self, place: Pair, about: Pair) -> None:
-        """Tilt the line of symmetry, so that it goes through two places of the canvas."""
-
     @abstractmethod
-    def _led(self, how: str, view: V, dx: float, dy: float) -> V:
-        """Return a view moved by the pointer."""
-
-    @abstractmethod
-    def _leads(self, event: Event) -> str | None:
-        """Return a button's effect on the view, if it has one."""
+    def _leads(self, event: Event) -> Callable[[Lead[V]], None] | None:
+        """Return what a drag with a button does, if it is for something else than a stroke."""
 
     @abstractmethod
     def _turn(self, event: Event, amount: float) -> None:
@@ -194,11 +191,11 @@ class Tools(Drawing, Generic[V]):
         if self._gesture is not None:
             return True
         button = int(event.get("button", 0))
-        how = self._leads(event)
-        if how is None and button == _LEFT:
-            knobs = {_CUT: self.knob, _LINE: self.grip, _TILT: self.tilt}
-            how = next((what for what, at in knobs.items() if at and math.dist(at, (x, y)) <= KNOB), None)
-        if how is None and button == _LEFT:
+        follow = self._leads(event)
+        if follow is None and button == _LEFT:
+            near = (what for what, at in self._knobs.items() if at and math.dist(at, (x, y)) <= KNOB)
+            follow = next(near, None)
+        if follow is None and button == _LEFT:
             self._gesture = self._taken(x, y)
             self._press(self._gesture, event)
             if self._gesture is not None and self._gesture.new and not self._gesture.masks:
@@ -206,11 +203,11 @@ class Tools(Drawing, Generic[V]):
             if self._gesture is not None and self._gesture.clicks:
                 self._gesture.shift = shifted(event)
                 self._draw(self._gesture)
-            how = self._beside
-        elif how is None and button == _RIGHT and self.ring:
-            how, self._sized = _SIZE, (self.radius, self.ring * self.extent[0])
-        if self._gesture is None and how is not None:
-            self._gesture = Lead(how, button, self.view, self.view, (x, y), (x, y))
+            follow = self._beside
+        elif follow is None and button == _RIGHT and self.ring:
+            follow, self._sized = self._size, (self.radius, self.ring * self.extent[0])
+        if self._gesture is None and follow is not None:
+            self._gesture = Lead(follow, button, self.view, self.view, (x, y), (x, y))
         return self._gesture is not None
 
     def _stays(self, held: Held) -> str | None:
@@ -264,25 +261,22 @@ class Tools(Drawing, Generic[V]):
         gesture.now = place
         if isinstance(gesture, Held):
             self._draw(gesture)
-        elif gesture.how == _CUT:
-            left, _, width, _ = self.place
-            self.split = min(max((place[0] - left) / width, 0.0), 1.0)
-        elif gesture.how == _LINE:
-            self._lay(gesture, place)
-        elif gesture.how == _TILT and self.grip is not None:
-            self._tilted((place[0], gesture.start[1]), self.grip)
-        elif gesture.how == _SIZE:  # the ring follows the pointer
-            radius, ring = self._sized
-            self.radius = radius * max(1 + (place[0] - gesture.start[0]) / ring, 0.0)
         else:
-            (x, y), (a, b) = place, gesture.start
-            self.view = self._led(gesture.how, gesture.base, x - a, y - b)
+            gesture.follow(gesture)
 
-    def _lay(self, gesture: Lead[V], place: Pair) -> None:
+    def _cut(self, lead: Lead[V]) -> None:
+        left, _, width, _ = self.place
+        self.split = min(max((lead.now[0] - left) / width, 0.0), 1.0)
+
+    def _size(self, lead: Lead[V]) -> None:
+        radius, ring = self._sized  # the ring follows the pointer
+        self.radius = radius * max(1 + lead.gone[0] / ring, 0.0)
+
+    def _lay(self, lead: Lead[V]) -> None:
         """Move the line of symmetry to the pointer, and into the very middle if it is near."""
-        middle = 0.5 * (self.document.shape[-1 - self.across] - 1)
-        found = self._level((place[0], gesture.start[1]))
-        near = abs(found - middle) < abs(self._level((place[0] + CLICK, gesture.start[1])) - found)
+        middle, (x, _), (_, y) = 0.5 * (self.document.shape[-1 - self.across] - 1), lead.now, lead.start
+        found = self._level((x, y))
+        near = abs(found - middle) < abs(self._level((x + CLICK, y)) - found)
         self.middle = middle if near else min(max(found, -0.5), 2 * middle + 0.5)
 
     def _look(self, view: V) -> None:
@@ -315,11 +309,15 @@ class Tools(Drawing, Generic[V]):
             if gesture.tool == "pin" and gesture.item is not None and self._takes(gesture.item):
                 self._unpin(gesture)
                 return True
-        elif gesture.button != _LEFT or gesture.how in (_CUT, _LINE, _TILT) or gesture.moved:
+        elif gesture.button != _LEFT or self._let_go(gesture):
             return True
         found = nearest(self.handles(), gesture.start)
         self.document.select(None if found is None else found.item)
         return True
+
+    def _let_go(self, lead: Lead[V]) -> bool:
+        """End a drag of the left button; return whether it was more than a click."""
+        return lead.moved or lead.follow in self._knobs
 
     def _on_wheel(self, event: Event) -> bool:
         amount = float(event.get("dy", 0.0))

@@ -3,24 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Literal
 
-Tool = Literal[
-    "grab",
-    "twist",
-    "bloat",
-    "pucker",
-    "pinch",
-    "path",
-    "restore",
-    "smooth",
-    "push",
-    "pin",
-    "freeze",
-    "thaw",
-    "level",
-    "keystone",
-]
+Tool = str
+"""One of `BRUSHES`."""
 Rows = Mapping[str, str]
 
 BRUSHES: Mapping[Tool, tuple[str, str]] = {

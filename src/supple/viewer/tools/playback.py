@@ -18,27 +18,28 @@ class Playback:
 
     def __init__(self, count: int, rate: float, starts: Sequence[float] = ()) -> None:
         self.count, self.rate = count, rate
-        self._starts = list(starts)
-        if self._starts:  # the last one has the duration of the one before
-            self._starts.append(2 * self._starts[-1] - self._starts[-2] if self.count > 1 else 1 / self.rate)
+        self._starts = list(starts) or [k / rate for k in range(count)]
+        # The last one has the duration of the one before.
+        self._starts.append(2 * self._starts[-1] - self._starts[-2] if self.count > 1 else 1 / self.rate)
         self.playing = False
         self.loop = False
         self.first, self.last = 0, self.count - 1
         """The in point and the out point of the played part, both included."""
         self.frame = 0  # the displayed frame
-        self._since: tuple[float, int] | None = None  # the start time and the start frame of playback
+        self._since = 0.0, 0  # the start time and the start frame of playback
         self._advanced = 0  # frames since then
+        self._last: object = None  # as it was after the last advance: if it has changed since, playback starts again
 
     @property
     def seconds(self) -> float:
         """The time of the displayed frame."""
-        return self._starts[self.frame] if self._starts else self.frame / self.rate
+        return self._starts[self.frame]
 
     def play(self) -> None:
         """Play; at the end, start again from the in point."""
         if not self.first <= self.frame <= self.last or (self.frame == self.last and not self.loop):
             self.frame = self.first
-        self.playing, self._since = True, None
+        self.playing, self._last = True, None
 
     def pause(self) -> None:
         """Pause."""
@@ -50,8 +51,7 @@ class Playback:
 
     def seek(self, frame: float) -> None:
         """Display the nearest frame; playback continues from there."""
-        self.frame = min(max(math.floor(frame + 0.5), 0), self.count - 1)
-        self._since = None
+        self.frame, self._last = min(max(math.floor(frame + 0.5), 0), self.count - 1), None
 
     def step(self, frames: int) -> None:
         """Pause, and advance by some frames."""
@@ -71,27 +71,19 @@ class Playback:
         self.first = self.frame
         if self.last < self.first:
             self.last = self.count - 1
-        self._since = None
 
     def mark_out(self) -> None:
         """Set the out point to the displayed frame."""
         self.last = self.frame
         if self.first > self.last:
             self.first = 0
-        self._since = None
 
     def unmark(self) -> None:
         """Reset the in and out points."""
-        self.first, self.last, self._since = 0, self.count - 1, None
-
-    def set_loop(self, loop: bool) -> None:
-        """Play in a loop, or once."""
-        self.loop, self._since = loop, None
+        self.first, self.last = 0, self.count - 1
 
     def _passed(self, seconds: float, start: int) -> int:
         """Return the number of frames passed since a start frame, after some seconds."""
-        if not self._starts:
-            return math.floor(seconds * self.rate + _EARLY)
         first, end = self._starts[self.first], self._starts[self.last + 1]
         place, turns = self._starts[start] + seconds, 0.0
         if self.loop and end > first:  # some files have frames without a duration
@@ -104,7 +96,7 @@ class Playback:
         """Return the frame at a time, in seconds of any monotonic clock."""
         if not self.playing:
             return self.frame
-        if self._since is None:
+        if self._last != (self.first, self.last, self.loop):
             if not self.first <= self.frame <= self.last:
                 self.frame = self.first
             self._since, self._advanced = (now, self.frame), 0
@@ -112,7 +104,7 @@ class Playback:
         advanced = max(self._passed(now - begun, start), self._advanced)
         if not self.loop:
             advanced = min(advanced, self.last - start)
-        self._advanced = advanced
+        self._advanced, self._last = advanced, (self.first, self.last, self.loop)
         self.frame = self.first + (start - self.first + advanced) % (self.last - self.first + 1)
         if not self.loop and self.frame == self.last:
             self.pause()

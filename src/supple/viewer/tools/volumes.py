@@ -16,13 +16,12 @@ from supple.space.geometry import Geometry
 from supple.viewer.document.editing import Document
 from supple.viewer.tools import orbit
 from supple.viewer.tools.brushes import GRIP, ZOOM, pans
-from supple.viewer.tools.comparing import Comparison
+from supple.viewer.tools.comparing import MODES, Comparison
 from supple.viewer.tools.drawing import Held, Pair, Place
 from supple.viewer.tools.gestures import Event, Lead, Tools, commanded, shifted
 from supple.viewer.tools.planes import FIXED, RENDERED, Pane, Sight, Upright, fitting, holding, places_of, planes_of
 
 BUTTON = 22.0  # logical pixels of the button that enlarges a view, in its upper right corner
-_CUBE, _CROSS, _SLIDE, _LEVEL = "cube", "cross", "slide", "level"
 _MOST_PICKS = 500
 _SLOW = 200.0  # logical pixels of a right drag that widen the window by a factor of e, or move it by its width
 _LEFT, _RIGHT = 1, 2
@@ -158,9 +157,11 @@ class VolumeTools(Tools[Camera]):
     @property
     def side(self) -> orbit.Face | None:
         """The face of the cube that a click would choose: the one under the pointer."""
-        gesture = self._gesture
-        led = gesture is None or (isinstance(gesture, Lead) and gesture.how == _CUBE and not gesture.moved)
-        return orbit.face_at(self.cube, self.pointer) if led and self.pointer is not None else None
+        lead = self._lead(self._turn_cube)
+        led = self._gesture is None or (lead is not None and not lead.moved)
+        if not led or self.pointer is None:
+            return None
+        return next((face for face in self.cube if face.holds(*self.pointer)), None)
 
     def _within(self, x: float, y: float) -> Pair:
         return x - self.corner[0], y - self.corner[1]
@@ -227,8 +228,8 @@ class VolumeTools(Tools[Camera]):
         return left + width - BUTTON, top, BUTTON, BUTTON
 
     @property
-    def _beside(self) -> str:
-        return "orbit" if self.active == RENDERED else _SLIDE
+    def _beside(self) -> Callable[[Lead[Camera]], None]:
+        return self._orbit if self.active == RENDERED else self._slide
 
     def _on_pointer_down(self, event: Event) -> bool:
         place = float(event["x"]), float(event["y"])
@@ -242,55 +243,57 @@ class VolumeTools(Tools[Camera]):
                 self.pointer = place
                 return self._mark()
         made = super()._on_pointer_down(event)
-        if isinstance(self._gesture, Lead) and self._gesture.how == _CROSS:
-            self._cross(place)
+        if (lead := self._lead(self._cross)) is not None:
+            self._cross(lead)
         return made
 
-    def _leads(self, event: Event) -> str | None:
+    def _leads(self, event: Event) -> Callable[[Lead[Camera]], None] | None:
         button, rendering = event.get("button"), self.active == RENDERED
         if pans(event):
-            return "pan" if rendering else _SLIDE
+            return self._pan if rendering else self._slide
         if button == _RIGHT and not shifted(event):
-            return "orbit" if rendering else _LEVEL
+            return self._orbit if rendering else self._level_values
         if button == _LEFT and rendering and self.side is not None:
-            return _CUBE
+            return self._turn_cube
         crosses = shifted(event) or self.active >= FIXED
-        return _CROSS if button == _LEFT and not rendering and crosses else None
+        return self._cross if button == _LEFT and not rendering and crosses else None
 
-    def _led(self, how: str, view: Camera, dx: float, dy: float) -> Camera:
-        if not (dx or dy):
-            return view
-        return {"orbit": orbit.orbit, _CUBE: orbit.orbit, "pan": orbit.pan}[how](view, dx, dy, self.stage)
+    def _orbit(self, lead: Lead[Camera]) -> None:
+        self.view = orbit.orbit(lead.base, *lead.gone, self.stage) if any(lead.gone) else lead.base
 
-    def _follow(self, gesture: Held | Lead[Camera], place: Pair) -> None:
-        if isinstance(gesture, Held) or gesture.how not in (_CROSS, _SLIDE, _LEVEL):
-            super()._follow(gesture, place)
-            return
-        gesture.now = place
-        dx, dy = (b - a for a, b in zip(gesture.start, place, strict=True))
-        if gesture.how == _LEVEL:
-            wider, brighter = math.exp(min(max(dx / _SLOW, -9.0), 9.0)), -dy / _SLOW
-            self.sight = self._base.levelled(wider, brighter, fixed=self.active >= FIXED)
-        elif gesture.how == _SLIDE:
-            self.sight = self._base.slid(replace(self.pane(self.active), middle=self._base.middle), dx, dy)
-        else:
-            self._cross(place)
+    def _turn_cube(self, lead: Lead[Camera]) -> None:
+        self._orbit(lead)
+
+    def _pan(self, lead: Lead[Camera]) -> None:
+        self.view = orbit.pan(lead.base, *lead.gone, self.stage) if any(lead.gone) else lead.base
+
+    def _level_values(self, lead: Lead[Camera]) -> None:
+        x, y = lead.gone
+        wider = math.exp(min(max(x / _SLOW, -9.0), 9.0))
+        self.sight = self._base.levelled(wider, -y / _SLOW, fixed=self.active >= FIXED)
+
+    def _slide(self, lead: Lead[Camera]) -> None:
+        self.sight = self._base.slid(replace(self.pane(self.active), middle=self._base.middle), *lead.gone)
+
+    def _cross(self, lead: Lead[Camera]) -> None:
+        """Move the crosshair, in the plane under the pointer, to the pointer."""
+        self.sight = self.sight.at(self.pane(self.active).to_point(*lead.now), self.sizes)
 
     @property
     def status(self) -> str | None:
         """The reason for a refused action, or what a click sets, in a line."""
-        if not self.marking or self.document.marks is None:
+        if not self.marking or self.document.state.marks is None:
             return super().status
         beside = self.comparison is not None and self.comparison.beside
-        if self.document.marks.open is None:
+        if self.document.state.marks.open is None:
             where = "in the bent volume or in the fixed one" if beside else "in the bent volume"
             return f"click a point {where}; Escape ends it"
-        done = bool(np.isfinite(self.document.marks.points[self.document.marks.open]).all())
+        done = bool(np.isfinite(self.document.state.marks.points[self.document.state.marks.open]).all())
         return f"click the same point in the {'fixed' if done else 'bent'} volume; Escape ends it"
 
     def _mark(self) -> bool:
         """Set a landmark where the pointer is, in the volume that is there; return whether it had an effect."""
-        point, marks = self.hover, self.document.marks
+        point, marks = self.hover, self.document.state.marks
         if point is None or marks is None:
             return False
         apart = self.active == RENDERED or (self.comparison is not None and self.comparison.beside)
@@ -302,21 +305,15 @@ class VolumeTools(Tools[Camera]):
         return True
 
     def _end_marking(self) -> None:
-        self.marking, marks = False, self.document.marks
+        self.marking, marks = False, self.document.state.marks
         if marks is not None and marks.open is not None:
             self.document.mark(marks.without(marks.open), f"Drop landmark {marks.names[marks.open]}")
 
-    def _cross(self, place: Pair) -> None:
-        """Move the crosshair, in the plane under the pointer, to a position of the canvas."""
-        self.sight = self.sight.at(self.pane(self.active).to_point(*place), self.sizes)
-
-    def _released(self) -> bool:
-        chosen = self.side if isinstance(self._gesture, Lead) else None
-        if chosen is None:
-            return super()._released()
-        self._gesture = None
-        self._look(chosen.camera(self.view))
-        return True
+    def _let_go(self, lead: Lead[Camera]) -> bool:
+        cube = lead.follow == self._turn_cube
+        if cube and not lead.moved and self.side is not None:
+            self._look(self.side.camera(self.view))
+        return super()._let_go(lead) or cube
 
     def _taken(self, x: float, y: float) -> Held | None:
         """Return what is grabbed; the crosshair moves to a new point, so that all planes show the effect there."""
@@ -402,9 +399,9 @@ class VolumeTools(Tools[Camera]):
         elif key in ("x", "X", "l", "L") and self.comparison is None:
             raise SuppleError("there is no fixed volume beside this one: open both by --fixed")
         elif key in ("x", "X") and self.comparison is not None:
-            self.comparison.turn()
-            self._arrange()
-        elif key in ("l", "L") and self.document.marks is not None:
+            modes = [*MODES, *MODES]
+            self.compare(modes[modes.index(self.comparison.mode) + 1])
+        elif key in ("l", "L") and self.document.state.marks is not None:
             marking = not self.marking
             self._end_marking()
             self.marking = marking

@@ -6,7 +6,6 @@ import os
 import shutil
 import sys
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
 from supple.viewer.document.files import Question
@@ -14,26 +13,11 @@ from supple.viewer.document.files import Question
 _PROGRAMS = ("zenity", "kdialog", "matedialog", "qarma")  # programs that show the dialogs on X or Wayland
 
 
-@dataclass(frozen=True, slots=True)
-class FileDialog:
-    """A dialog that is open in a process or a thread of its own."""
+def chooser() -> Callable[[Question], Any] | None:
+    """Return a function that opens a dialog for a question; None on a desktop without such dialogs.
 
-    dialog: Any  # of portable_file_dialogs
-
-    def answer(self) -> str | None:
-        """Return the file, "" for none, or None while the dialog is open."""
-        if not self.dialog.ready(0):
-            return None
-        found = self.dialog.result()
-        return str(found if isinstance(found, str) else next(iter(found), ""))
-
-    def close(self) -> None:
-        """Close the dialog."""
-        self.dialog.kill()
-
-
-def chooser() -> Callable[[Question], FileDialog] | None:
-    """Return a function that opens a dialog for a question; None on a desktop without such dialogs."""
+    The dialog is one of `portable_file_dialogs`, which is open in a process or a thread of its own.
+    """
     if sys.platform.startswith("linux"):
         screen = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
         if not screen or not any(map(shutil.which, _PROGRAMS)):
@@ -43,14 +27,14 @@ def chooser() -> Callable[[Question], FileDialog] | None:
     except ImportError:
         return None
 
-    def choose(question: Question) -> FileDialog:
+    def choose(question: Question) -> Any:
         path = question.path or ""
         recipes, every = ["Recipes", "*.json"], ["All files", "*"]
         if question.name in ("open", "load mask"):
             folder = os.path.join(os.path.dirname(path), "")
             kinds = every + recipes if question.name == "open" else every
-            return FileDialog(dialogs.open_file(question.title, folder, kinds))
+            return dialogs.open_file(question.title, folder, kinds)
         kinds = recipes + every if question.name == "save" else every
-        return FileDialog(dialogs.save_file(question.title, path, kinds))
+        return dialogs.save_file(question.title, path, kinds)
 
     return choose

@@ -240,15 +240,9 @@ def _ask_before_closing(canvas: Any, view: Window) -> None:
             glfw.set_window_should_close(window, 0)
             canvas.request_draw()
 
-    def dropped(window: Any, paths: Any) -> None:
-        view.drop([str(path) for path in paths])
-
-    def copy(text: str) -> None:
-        glfw.set_clipboard_string(canvas._window, text)
-
-    view.copy_text = copy
+    view.copy_text = partial(glfw.set_clipboard_string, canvas._window)
     glfw.set_window_close_callback(canvas._window, closing)
-    glfw.set_drop_callback(canvas._window, dropped)  # type: ignore[arg-type]
+    glfw.set_drop_callback(canvas._window, lambda _, paths: view.drop([*map(str, paths)]))  # type: ignore[arg-type,misc]
 
 
 def in_notebook() -> bool:
