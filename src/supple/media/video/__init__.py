@@ -6,11 +6,11 @@ import contextlib
 import itertools
 import math
 import warnings
+from bisect import bisect_right
 from collections import deque
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from fractions import Fraction
-from functools import cached_property
 from typing import Any
 
 from supple.errors import need, shown
@@ -74,6 +74,7 @@ class Clip(VideoSource):
         self._sturdy |= counted.suspect
         self.path, self.survey, self.source = path, counted, demux.opened(path)
         self.count = counted.count if count is None else count
+        self._keys = counted.keys if len(counted.times) == self.count else ()
         try:
             film = demux.chosen(self.source, path)
             super().__init__(shown(path), _rate(film, counted), film.time_base or Fraction(1, 1000))
@@ -228,34 +229,32 @@ class Clip(VideoSource):
             what = f"has {bad} damaged frame{'s' * (bad > 1)}: {how_much}what can be decoded is used"
             warnings.warn(f"{self.name} {what}", ClipWarning, stacklevel=2)
 
-    @cached_property
-    def _index(self) -> demux.Index | None:
-        return None if self.survey.suspect else demux.index_of(self.path, self.count)
-
     def key_before(self, k: int) -> int:
-        """Return the key frame from which decoding must begin for frame `k`; 0 if the file has no index."""
-        return 0 if self._index is None else self._index.before(k)
+        """Return the key frame from which decoding must begin for frame `k`; 0 if times do not identify frames."""
+        found = bisect_right(self._keys, k)
+        return self._keys[found - 1] if found else 0
 
     def frames_from(self, k: int) -> Iterator[tuple[int, LazyFrame]]:
         """Decode from frame `k` on, beginning at the key frame before it; yield frames with their numbers.
 
-        If the frames do not match the index, it decodes from the start.
+        If the frames do not match the times of packets, it decodes from the start.
         """
-        due, key, known = k, self.key_before(k), self._index
-        if key and known is not None:
-            for pts, picture in self._sought(known.starts[key]):  # closed when the generator is dropped
-                number = -1 if pts is None else known.numbers.get(pts, -1)
-                if key <= number < due or (pts is not None and pts < known.starts[key]):
-                    continue  # before `k`; or shown before the key frame, and lacks its references
-                if number != due:
+        due, times = self.key_before(k), self.survey.times
+        if due:
+            start = times[due]
+            for pts, picture in self._sought(start):  # closed when the generator is dropped
+                if pts is not None and pts < start:
+                    continue  # shown before the key frame, and lacks its references
+                if due == self.count or pts != times[due]:
                     break
-                yield due, picture
+                if due >= k:
+                    yield due, picture
                 due += 1
             if due == self.count:
                 return
-            self._index = None  # the index is wrong
+            self._keys = ()  # the times are wrong
         for number, picture in enumerate(self.frames()):
-            if number >= due:
+            if number >= max(due, k):
                 yield number, picture
 
     def _sought(self, start: int) -> Iterator[tuple[int | None, LazyFrame]]:

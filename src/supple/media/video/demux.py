@@ -7,12 +7,11 @@ import itertools
 import mmap
 import os
 import re
-from bisect import bisect_right
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import av
 from av.format import Flags as FormatFlags
@@ -79,6 +78,10 @@ class Survey:
     variable: bool = False  # whether the spacing in time varies
     starts: tuple[float, ...] = ()  # start times in seconds from the first, if it varies
     missing: int = 0  # the number of lost frames, if the file is truncated
+    # display times of the frames in order, in ticks of the stream; empty if they do not identify frames
+    times: tuple[int, ...] = ()
+    # key frames, at which decoding may begin; frames shown before one but stored after it may need earlier ones
+    keys: tuple[int, ...] = ()
 
 
 # Kept: FFmpeg does not report a truncated GIF (test_a_cut_gif_is_used_with_a_warning).
@@ -136,12 +139,15 @@ def survey(
 ) -> tuple[Survey, av.VideoFrame | None]:
     """Count the frames of a film by its packets; also return the first decoded frame."""
     _attend(container, [film])
-    hidden = film.codec_context.codec.canonical_name == "vp8"
+    name = film.codec_context.codec.canonical_name
+    hidden = name == "vp8"
+    told = not (container.format.flags & _DISCONTINUOUS or is_counted(container) or codec_of(name).hides)
     packets = count = 0
     first = last = None
     step = total = 0
     damaged = suspect = False
     starts: list[int] = []
+    keys: list[int] = []
     decoded: list[av.VideoFrame] = []
     try:
         for packet in container.demux(film):
@@ -158,6 +164,7 @@ def survey(
             start = packet.pts if packet.pts is not None else packet.dts
             if packet.pts is not None:
                 starts.append(packet.pts)
+                keys += [packet.pts] * packet.is_keyframe
             if start is not None:
                 first = start if first is None else min(first, start)
                 last = start + step if last is None else max(last, start + step)
@@ -168,12 +175,12 @@ def survey(
     span = Fraction(last - first) * base if first is not None and last is not None else Fraction(0)
     if sums_up(container):  # VP9's packets have no durations
         span = (total or film.duration or 0) * base or span
-    told = _told(film)
+    lasts = _told(film)
     end = span if last is None else max(span, last * base)  # Matroska's duration may count from zero
     reached = last if is_counted(container) and last is not None else packets
     missing = film.frames - max(reached, packets) if film.frames else 0
-    if told is not None and packets > 0 and span > 0:
-        missing = round((told - end) * packets / span)
+    if lasts is not None and packets > 0 and span > 0:
+        missing = round((lasts - end) * packets / span)
     # In an MP4, an edit list may exclude samples: only an incomplete packet shows truncation.
     cut = missing > _SLOPPY and (suspect or damaged or not sums_up(container))
     starts.sort()
@@ -183,6 +190,9 @@ def survey(
     seconds = tuple(float((start - starts[0]) * base) for start in starts) if varies else ()
     broken = damaged or cut
     found = Survey(packets, count, span, broken, suspect or broken, varies, seconds, max(0, missing) if broken else 0)
+    numbers = {start: k for k, start in enumerate(starts)}
+    if told and not found.suspect and len(numbers) == len(starts) == packets:
+        found = replace(found, times=tuple(starts), keys=tuple(sorted(numbers[key] for key in keys)))
     return found, next(iter(decoded or decoded_by(decoder, None) or ()), None)
 
 
@@ -257,44 +267,3 @@ def add_time(times: list[tuple[int, int]], pts: int | None, lasts: int) -> None:
 def usual_step(rate: Fraction, base: Fraction) -> int:
     """Return the ticks of one frame at a rate."""
     return max(1, round(1 / (rate * base)))
-
-
-class Index(NamedTuple):
-    """The index of the frames of a film by time."""
-
-    starts: list[int]  # display times, in ticks of the stream, in order
-    numbers: dict[int, int]  # of frames, by these times
-    # key frames, at which decoding may begin; frames shown before one but stored after it may need earlier ones
-    keys: list[int]
-
-    def before(self, k: int) -> int:
-        """Return the last frame, not after `k`, at which decoding may begin; 0 for the start."""
-        found = bisect_right(self.keys, k)
-        return self.keys[found - 1] if found else 0
-
-
-def index_of(path: PathLike, count: int) -> Index | None:
-    """Read the times of a film's packets; None if they do not identify `count` frames."""
-    starts: list[int] = []
-    keys: list[int] = []
-    with opened(path) as container:
-        film = chosen(container, path)
-        name = film.codec_context.codec.canonical_name
-        if container.format.flags & _DISCONTINUOUS or is_counted(container) or codec_of(name).hides:
-            return None
-        _attend(container, [film])
-        try:
-            for packet in container.demux(film):
-                if not packet.size:
-                    continue
-                if packet.pts is None or packet.is_discard or packet.is_corrupt:
-                    return None
-                starts.append(packet.pts)
-                if packet.is_keyframe:
-                    keys.append(packet.pts)
-        except av.FFmpegError:
-            return None
-    numbers = {start: k for k, start in enumerate(sorted(starts))}
-    if not len(starts) == len(numbers) == count:
-        return None
-    return Index(sorted(starts), numbers, sorted(numbers[key] for key in keys))
