@@ -78,7 +78,6 @@ class Clip(VideoSource):
         try:
             film = demux.chosen(self.source, path)
             super().__init__(shown(path), _rate(film, counted), film.time_base or Fraction(1, 1000))
-            self._lasting(demux.delays_of(self.source))
             self._read_facts(film)
             self._look(first)
         except BaseException:
@@ -89,14 +88,6 @@ class Clip(VideoSource):
             what = f"is damaged or cut short: {how_much}what can be decoded of it is used"
             warnings.warn(f"{self.name} {what}", ClipWarning, stacklevel=4)
 
-    def _lasting(self, delays: Sequence[Fraction]) -> None:
-        """Set the times of frames from their exact durations in seconds, if there is one for each frame."""
-        unit = math.lcm(*(each.denominator for each in delays))
-        self._starts: list[int] = []
-        if delays and len(delays) == self.count and unit < _FINEST:
-            self.base, self.rate = Fraction(1, unit), self.count / sum(delays, Fraction(0))
-            self._starts = [int(start * unit) for start in itertools.accumulate(delays, initial=Fraction(0))]
-
     def _read_facts(self, film: av.VideoStream) -> None:
         self.index = film.index
         context = film.codec_context
@@ -105,7 +96,12 @@ class Clip(VideoSource):
         self.field_order, self.profile = context.field_order, context.profile or ""
         tagged = [film, *(stream for stream in self.source.streams if stream.type == "data"), self.source]
         self.timecode = next((found for each in tagged if (found := said_of(each, "timecode"))), "")
-        self.plays = demux.plays_of(self.source)
+        self.plays, delays = demux.animation_of(self.source)
+        unit = math.lcm(*(each.denominator for each in delays))
+        self._starts: list[int] = []  # and the end, if durations are exact
+        if delays and len(delays) == self.count and unit < _FINEST:
+            self.base, self.rate = Fraction(1, unit), self.count / sum(delays, Fraction(0))
+            self._starts = [int(start * unit) for start in itertools.accumulate(delays, initial=Fraction(0))]
         header = context.extradata or b""
         self.header = b"" if header == context.codec_tag.encode("latin-1", "replace") else header  # ProRes in Matroska
         self.pace = Fraction(film.base_rate or 0)
@@ -342,7 +338,7 @@ class Clip(VideoSource):
             "height": self.height,
             "frames": self.count,
             "rate": self.rate,
-            "variable": self.survey.variable,
+            "variable": bool(self.survey.starts),
             "duration": float(seen),
             "pixel_format": self.pixel_format,
             "bits": kind.bits,

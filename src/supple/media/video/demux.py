@@ -75,8 +75,7 @@ class Survey:
     duration: Fraction  # seconds from the start of the first frame to the end of the last
     damaged: bool  # whether the file is truncated
     suspect: bool  # whether some packets may be damaged, or incomplete
-    variable: bool = False  # whether the spacing in time varies
-    starts: tuple[float, ...] = ()  # start times in seconds from the first, if it varies
+    starts: tuple[float, ...] = ()  # start times in seconds from the first, if their spacing varies
     missing: int = 0  # the number of lost frames, if the file is truncated
     # display times of the frames in order, in ticks of the stream; empty if they do not identify frames
     times: tuple[int, ...] = ()
@@ -93,33 +92,26 @@ def _ends(path: str) -> bool:
         return file.read().rstrip(b"\0").endswith(b";")
 
 
-# Kept: FFmpeg does not report the number of repetitions (test_how_often_it_plays_comes_through).
-def plays_of(container: av.container.InputContainer) -> int | None:
-    """Return the number of times that an animation plays, 0 for ever; None for other videos."""
-    kind = container.format.name
+# Kept: FFmpeg neither reports the number of repetitions (test_how_often_it_plays_comes_through), nor keeps the exact
+# durations of an animated PNG (test_times_of_a_film_are_kept).
+def animation_of(container: av.container.InputContainer) -> tuple[int | None, list[Fraction]]:
+    """Return the number of times that an animation plays, 0 for ever, None for other videos; and, of a PNG, the
+    durations of its frames in seconds, unless one is missing."""
+    kind, plays, delays, at = container.format.name, None, list[Fraction](), 8
     if kind not in ("gif", "apng"):
-        return None
+        return None, []
     with open(container.name, "rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
-        if kind == "apng":
-            found = re.search(rb"acTL....(....)", data, re.DOTALL)
-            return int.from_bytes(found[1], "big") if found else None
-        found = re.search(rb"\x21\xff\x0b(?:NETSCAPE2\.0|ANIMEXTS1\.0)\x03\x01(..)", data, re.DOTALL)
-        again = int.from_bytes(found[1], "little") if found else None
-        return 1 if again is None else again and again + 1
-
-
-# Kept: FFmpeg rounds these durations (test_times_of_a_film_are_kept).
-def delays_of(container: av.container.InputContainer) -> list[Fraction]:
-    """Return the duration of each frame of an animated PNG in seconds; empty for other files, or if one is missing."""
-    found, at = [], 8
-    if container.format.name == "apng":
-        with open(container.name, "rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
-            while len(head := data[at : at + 34]) > 8:
-                if head[4:8] == b"fcTL":
-                    part, whole = int.from_bytes(head[28:30]), int.from_bytes(head[30:32])
-                    found.append(Fraction(part, whole or 100))
-                at += 12 + int.from_bytes(head[:4])
-    return found if all(found) else []
+        if kind == "gif":
+            found = re.search(rb"\x21\xff\x0b(?:NETSCAPE2\.0|ANIMEXTS1\.0)\x03\x01(..)", data, re.DOTALL)
+            again = int.from_bytes(found[1], "little") if found else None
+            return 1 if again is None else again and again + 1, []
+        while len(head := data[at : at + 34]) > 8:
+            if head[4:8] == b"acTL":
+                plays = int.from_bytes(head[12:16])
+            elif head[4:8] == b"fcTL":
+                delays.append(Fraction(int.from_bytes(head[28:30]), int.from_bytes(head[30:32]) or 100))
+            at += 12 + int.from_bytes(head[:4])
+    return plays, delays if all(delays) else []
 
 
 def _attend(container: av.container.InputContainer, streams: Sequence[av.stream.Stream]) -> None:
@@ -189,7 +181,7 @@ def survey(
     varies = len(steps) > 1 and max(steps) - min(steps) > max(2, sorted(steps)[len(steps) // 2] / 10)
     seconds = tuple(float((start - starts[0]) * base) for start in starts) if varies else ()
     broken = damaged or cut
-    found = Survey(packets, count, span, broken, suspect or broken, varies, seconds, max(0, missing) if broken else 0)
+    found = Survey(packets, count, span, broken, suspect or broken, seconds, max(0, missing) if broken else 0)
     numbers = {start: k for k, start in enumerate(starts)}
     if told and not found.suspect and len(numbers) == len(starts) == packets:
         found = replace(found, times=tuple(starts), keys=tuple(sorted(numbers[key] for key in keys)))
