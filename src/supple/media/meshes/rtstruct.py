@@ -14,7 +14,7 @@ import numpy as np
 
 from supple.errors import SuppleError, VolumeWarning, said, shown
 from supple.media.files import PathLike, unreadable
-from supple.media.meshes import Floats, Mesh, Part, checked, joined, part_of
+from supple.media.meshes import Floats, Part, PointFile, checked, joined, part_of
 from supple.media.volume import Volume
 from supple.media.volume.derived import WARNING, new_uid, reference_to, renewed
 from supple.media.volume.frames import dataset, frames_of, head_of, imported, without
@@ -34,7 +34,7 @@ _STALE_SET = (
 )  # fmt: skip
 
 
-def parsed(path: PathLike, data: bytes, series: Volume | None = None) -> Mesh:
+def parsed(path: PathLike, data: bytes, series: Volume | None = None) -> PointFile:
     """Return the points of all contours of a structure set, in LPS.
 
     With a DICOM ``series``, the written structure set refers to it, and each contour to its nearest slice.
@@ -80,7 +80,7 @@ def parsed(path: PathLike, data: bytes, series: Volume | None = None) -> Mesh:
             raise SuppleError(f"{told}: mend that file") from error
         return held.getvalue()
 
-    return Mesh(points, "LPS", rewritten, lambda: _parts(read, len(points)))
+    return PointFile(points, "LPS", rewritten, lambda: _parts(read, len(points)))
 
 
 def _is_whole(raw: Any) -> bool:

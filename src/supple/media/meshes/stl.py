@@ -7,7 +7,7 @@ import re
 import numpy as np
 
 from supple.media.files import PathLike, unreadable
-from supple.media.meshes import Floats, Mesh, checked, edited, in_rows, in_text, part_of, space_of
+from supple.media.meshes import Floats, PointFile, checked, edited, in_rows, in_text, part_of, space_of
 
 _FACET = [("numbers", "<f4", 12), ("attribute", "<u2")]  # a normal and three vertices
 _HEAD = 84
@@ -15,7 +15,7 @@ _NUMBER = rb"[-+.\w]+"
 _TRIPLE = re.compile(rb"\b(normal|vertex)[ \t]+(%b)[ \t]+(%b)[ \t]+(%b)" % ((_NUMBER,) * 3), re.IGNORECASE)
 
 
-def parsed(path: PathLike, data: bytes) -> Mesh:
+def parsed(path: PathLike, data: bytes) -> PointFile:
     """Return the distinct vertices of an STL file."""
     count = int.from_bytes(data[80:_HEAD], "little")
     size = _HEAD + count * np.dtype(_FACET).itemsize
@@ -48,7 +48,7 @@ def parsed(path: PathLike, data: bytes) -> Mesh:
         return edited(data, facets.edits(made))
 
     runs = which, np.full(len(which) // 3, 3)
-    return Mesh(points, space_of(head), rewritten, lambda: [part_of(len(points), runs)])
+    return PointFile(points, space_of(head), rewritten, lambda: [part_of(len(points), runs)])
 
 
 def _distinct(corners: Floats) -> tuple[Floats, np.typing.NDArray[np.intp]]:

@@ -22,7 +22,7 @@ _OFFSETS = re.compile(rb"\s*(?:OFFSETS|CONNECTIVITY)\s+(\w+)[ \t]*\r?\n")  # fro
 _KINDS = {b"float": ">f4", b"double": ">f8", b"vtktypeint64": ">i8", b"vtktypeint32": ">i4", b"int": ">i4"}
 
 
-def parsed(path: PathLike, data: bytes) -> meshes.Mesh:
+def parsed(path: PathLike, data: bytes) -> meshes.PointFile:
     """Return the points of PolyData, and their active normals."""
     head = _HEAD.match(data)
     if head is None:
@@ -57,7 +57,7 @@ def parsed(path: PathLike, data: bytes) -> meshes.Mesh:
         return [meshes.part_of(len(points.values), *runs.values())]
 
     at = np.arange(len(normals.values), dtype=np.intp)
-    return meshes.Mesh(points.values, meshes.space_of(head[1]), rewritten, parts, normals.values, at)
+    return meshes.PointFile(points.values, meshes.space_of(head[1]), rewritten, parts, normals.values, at)
 
 
 def _runs(data: bytes, found: re.Match[bytes], binary: bool) -> tuple[meshes.Runs, int]:

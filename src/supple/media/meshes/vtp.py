@@ -106,7 +106,7 @@ class _Array:
         return edits + [(*found.span(), b"") for found in _RANGE.finditer(file.data, *self.tag)]
 
 
-def parsed(path: PathLike, data: bytes) -> meshes.Mesh:
+def parsed(path: PathLike, data: bytes) -> meshes.PointFile:
     """Return the points of all pieces of PolyData, and their active normals."""
     root = _ROOT.search(data, 0, 4096)
     known = _attributes(root[1]) if root else {}
@@ -154,7 +154,7 @@ def parsed(path: PathLike, data: bytes) -> meshes.Mesh:
     vertices = meshes.checked(file.path, np.concatenate([values for _, values in points]) if points else [])
     vectors = np.concatenate([np.zeros((0, 3)), *(values for _, values in normals)])
     counts = [len(values) for _, values in points]
-    return meshes.Mesh(
+    return meshes.PointFile(
         vertices, _space(file, xml), rewritten, lambda: [_part(file, pieces, counts)], vectors,
         np.concatenate([np.zeros(0, np.intp), *at]),
     )  # fmt: skip

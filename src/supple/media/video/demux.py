@@ -95,8 +95,10 @@ def _ends(path: str) -> bool:
 # Kept: FFmpeg neither reports the number of repetitions (test_how_often_it_plays_comes_through), nor keeps the exact
 # durations of an animated PNG (test_times_of_a_film_are_kept).
 def animation_of(container: av.container.InputContainer) -> tuple[int | None, list[Fraction]]:
-    """Return the number of times that an animation plays, 0 for ever, None for other videos; and, of a PNG, the
-    durations of its frames in seconds, unless one is missing."""
+    """Return how often an animation plays, 0 for ever, None for other videos; and the durations of frames of a PNG.
+
+    Durations are in seconds; there are none if one is missing.
+    """
     kind, plays, delays, at = container.format.name, None, list[Fraction](), 8
     if kind not in ("gif", "apng"):
         return None, []
