@@ -109,7 +109,11 @@ def parsed(
     if points is None:  # cell by cell: for quoted numbers, or an error with the line
         points = np.array([[_coordinate(name, records[row], c) for c in columns] for row in rows])
     table = Table(text[: len(text) - len(plain)], records, delimiter, header, rows, columns)
-    return table, points, convention or stated, _labels(table, fcsv), told
+    names = [] if header is None else [bare(cell.lstrip(" \t#")).lower() for cell in records[header].cells]
+    label = next((names.index(known) for known in ("label", "name", "id") if known in names), 11 if fcsv else -1)
+    lists = (records[row].cells for row in rows)
+    labels = tuple(bare(row[label]) if 0 <= label < len(row) else "" for row in lists)
+    return table, points, convention or stated, labels, told
 
 
 def _unit(cell: str) -> str:
@@ -209,26 +213,13 @@ def _axes(
 ) -> tuple[tuple[int, ...], str | None] | None:
     plain = [_UNIT.sub("", bare(cell).lower()) for cell in names]
     loose = [(found[1] or found[2]) if (found := _AROUND.fullmatch(cell)) else cell for cell in plain]
-    for known in (plain, loose):
-        if "x" in known and "y" in known:
-            last = [axis for axis in third if axis in known][:1]
-            return _places(name, record, known, ["x", "y", *last]), None
-    for triple, convention in _TRIPLES.items():
-        if set(triple) <= set(plain):
-            return _places(name, record, plain, list(triple)), convention
+    kinds: list[tuple[list[str], str, str | None]] = [(plain, "xy", None), (loose, "xy", None)]
+    kinds += [(plain, *triple) for triple in _TRIPLES.items()]
+    for known, axes, convention in kinds:
+        if set(axes) <= set(known):
+            last = [axis for axis in third if axis in known][:1] if axes == "xy" else []
+            for axis in (*axes, *last):
+                if known.count(axis) > 1:
+                    _refuse(name, record, f"several columns are named {axis}", "leave the name to one")
+            return tuple(known.index(axis) for axis in (*axes, *last)), convention
     return None
-
-
-def _places(name: str, record: _Record, known: list[str], axes: list[str]) -> tuple[int, ...]:
-    for axis in axes:
-        if known.count(axis) > 1:
-            _refuse(name, record, f"several columns are named {axis}", "leave the name to one")
-    return tuple(known.index(axis) for axis in axes)
-
-
-def _labels(table: Table, fcsv: bool) -> tuple[str, ...]:
-    head = [] if table.header is None else table.records[table.header].cells
-    names = [bare(cell.lstrip(" \t#")).lower() for cell in head]
-    column = next((names.index(known) for known in ("label", "name", "id") if known in names), 11 if fcsv else None)
-    cells = [table.records[row].cells for row in table.rows]
-    return tuple(bare(row[column]) if column is not None and column < len(row) else "" for row in cells)

@@ -465,7 +465,7 @@ def write(
         kind = form.pixel_formats[array.dtype.str[1:]][channels]
         if film:
             array, kind = array >> (16 - bits), f"gbrp{bits}be"
-        if dpx.is_little(head):
+        if dpx.order_of(head) == "<":
             kind = re.sub("be$", "le", kind)
         with replacing(path, force=force) as temporary, ffmpeg.writing(path):
             data = ffmpeg.encoded(array, form.saver, kind, form.options)

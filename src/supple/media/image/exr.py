@@ -163,24 +163,14 @@ def imported() -> Any:
 
 @contextlib.contextmanager
 def opened(path: PathLike, *, header_only: bool = False) -> Iterator[Any]:
-    """Open an OpenEXR, with separate channels; SuppleError for deep data and subsampled channels."""
-    if not head_of(path, 4).startswith(EXR_MAGIC):
-        raise unreadable(path, "it does not begin as an EXR does", "give the name of an EXR")
-    with _file(path, header_only) as file:
-        for part in file.parts:
-            if part.header["type"] in (imported().deepscanline, imported().deeptile):
-                raise unreadable(path, "it is a deep EXR, several samples for a pixel", "flatten it first")
-            for each in part.header["channels"]:
-                if (each.xSampling, each.ySampling) != (1, 1):
-                    what = f"its channel {each.name} has a sample for every {each.xSampling} x {each.ySampling} pixels"
-                    raise unreadable(path, what, "write it with all channels at full resolution, as RGB")
-        yield file
+    """Open an OpenEXR, with separate channels; SuppleError for deep data and subsampled channels.
 
-
-def _file(path: PathLike, header_only: bool) -> Any:
-    """Open an OpenEXR; messages that the package prints about damaged files are suppressed."""
+    Messages that the package prints about damaged files are suppressed.
+    """
     from supple.media.volume.itk import silence
 
+    if not head_of(path, 4).startswith(EXR_MAGIC):
+        raise unreadable(path, "it does not begin as an EXR does", "give the name of an EXR")
     module, said = imported(), io.StringIO()
     try:
         # printed to both streams; the output of other threads is passed on
@@ -193,7 +183,15 @@ def _file(path: PathLike, header_only: bool) -> Any:
             sys.stdout.write(rest)
     if not file.parts:
         raise damaged(path, said.getvalue().strip().rpartition(" - ")[2] or "it has no parts")
-    return file
+    with file:
+        for part in file.parts:
+            if part.header["type"] in (module.deepscanline, module.deeptile):
+                raise unreadable(path, "it is a deep EXR, several samples for a pixel", "flatten it first")
+            for each in part.header["channels"]:
+                if (each.xSampling, each.ySampling) != (1, 1):
+                    what = f"its channel {each.name} has a sample for every {each.xSampling} x {each.ySampling} pixels"
+                    raise unreadable(path, what, "write it with all channels at full resolution, as RGB")
+        yield file
 
 
 def _box(window: Any) -> Box:

@@ -201,46 +201,32 @@ def _told(film: av.VideoStream) -> Fraction | None:
     return int(found[1]) * 3600 + int(found[2]) * 60 + Fraction(found[3]) if found else None
 
 
-class Clock:
-    """One clock for all streams of a file: broadcasts start at any time, and jump at joins.
-
-    Times in MPEG-TS, MPEG-PS and similar formats are shifted to begin at zero; other formats keep their times.
-    """
-
-    def __init__(self, container: av.container.InputContainer) -> None:
-        self._broadcast = bool(container.format.flags & _DISCONTINUOUS)
-        start = container.start_time if self._broadcast else None
-        self._shift = -Fraction(start, av.time_base) if start is not None else Fraction(0)
-        self._due: dict[int, Fraction] = {}
-
-    def set(self, packet: av.Packet[Any], continuous: bool) -> None:
-        """Shift the times of a packet to the clock; jumps in `continuous` streams (sound, video) are closed."""
-        when = packet.dts if packet.dts is not None else packet.pts
-        if not self._broadcast or when is None:
-            return
-        base = packet.time_base
-        time = when * base + self._shift
-        due = self._due.get(packet.stream_index)
-        if continuous and due is not None and not due - _BACK <= time <= due + _JUMP:
-            self._shift += due - time
-            time = due
-        self._due[packet.stream_index] = time + (packet.duration or 0) * base
-        ticks = round(self._shift / base)
-        if packet.pts is not None:
-            packet.pts += ticks
-        if packet.dts is not None:
-            packet.dts += ticks
-
-
 def packets(container: av.container.InputContainer, streams: list[av.stream.Stream]) -> Iterator[av.Packet[Any]]:
-    """Read the packets of some streams, on one clock, until the file ends or is cut off."""
-    clock = Clock(container)
+    """Read the packets of some streams, on one clock, until the file ends or is cut off.
+
+    Broadcasts start at any time, and jump at joins. Times in MPEG-TS, MPEG-PS and similar formats are shifted to begin
+    at zero, and jumps of sound and video are closed; other formats keep their times.
+    """
+    broadcast = bool(container.format.flags & _DISCONTINUOUS)
+    shift, due = -Fraction(container.start_time or 0, av.time_base), dict[int, Fraction]()
     _attend(container, streams)
     with contextlib.suppress(av.FFmpegError):  # already found by the survey
         for packet in container.demux(streams):
-            if packet.size or packet.pts is not None:
-                clock.set(packet, packet.stream.type in ("audio", "video"))
-                yield packet
+            if not packet.size and packet.pts is None:
+                continue
+            when = packet.dts if packet.dts is not None else packet.pts
+            if broadcast and when is not None:
+                base, k = packet.time_base, packet.stream_index
+                time = when * base + shift
+                continuous = k in due and packet.stream.type in ("audio", "video")
+                if continuous and not due[k] - _BACK <= time <= due[k] + _JUMP:
+                    shift += due[k] - time
+                    time = due[k]
+                due[k] = time + (packet.duration or 0) * base
+                ticks = round(shift / base)
+                packet.pts = None if packet.pts is None else packet.pts + ticks
+                packet.dts = None if packet.dts is None else packet.dts + ticks
+            yield packet
 
 
 def decoded_by(decoder: av.VideoCodecContext, packet: av.Packet[Any] | None) -> list[av.VideoFrame] | None:
