@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -142,13 +141,6 @@ def _table(path: PathLike, text: str) -> tuple[bool, _Keys]:
     return headed, keys
 
 
-def _is_number(text: str) -> bool:
-    try:
-        return not math.isnan(float(text))
-    except ValueError:
-        return False
-
-
 def _after_effects(path: PathLike, text: str) -> _Keys:
     """Return the positions of keyframes: sections that begin with a name, and have columns in pixels."""
     keys: _Keys = {}
@@ -168,9 +160,14 @@ def _after_effects(path: PathLike, text: str) -> _Keys:
             continue
         if not cells[0]:
             continue  # a constant value has no frame
-        if len([*filter(None, cells)]) != len([*filter(None, columns)]) or not all(map(_is_number, cells[:3])):
-            raise unreadable(path, f"line {number}: it is {value_shown(line.strip())}", "give a frame, x and y")
-        keys.setdefault(label, []).append(_Key(f"line {number}", *map(float, cells[:3])))
+        try:
+            if len([*filter(None, cells)]) != len([*filter(None, columns)]):
+                raise ValueError
+            key = _Key(f"line {number}", *map(float, cells[:3]))
+        except ValueError:
+            what = f"line {number}: it is {value_shown(line.strip())}"
+            raise unreadable(path, what, "give a frame, x and y") from None
+        keys.setdefault(label, []).append(key)
     if not keys:
         raise unreadable(path, "none of its keyframes are positions", "copy those of a position or a tracker")
     if not end:

@@ -246,12 +246,8 @@ def _grouped(
     path: PathLike, channels: list[Channel], headers: Sequence[Mapping[str, Any]]
 ) -> tuple[tuple[bool, tuple[Channel, ...]], ...]:
     """Return three groups: the picture's own channels, others that are filtered, and exact ones."""
-    mattes = tuple(
-        value
-        for header in headers
-        for key, value in header.items()
-        if key.startswith("cryptomatte/") and key.endswith("/name") and isinstance(value, str)
-    )
+    named = (pair for header in headers for pair in header.items() if re.fullmatch("cryptomatte/(.*/)?name", pair[0]))
+    mattes = tuple(value for _, value in named if isinstance(value, str))
     vectors = {(c.part, _layer(c)[0]) for c in channels if _layer(c)[1].lower() in ("x", "z")}
 
     def is_exact(channel: Channel) -> bool:

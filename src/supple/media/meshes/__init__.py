@@ -15,7 +15,7 @@ from contextlib import AbstractContextManager
 from dataclasses import dataclass, field, replace
 from importlib import import_module
 from itertools import islice
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -98,44 +98,40 @@ class PointFile:
         return made
 
 
-@dataclass(frozen=True, slots=True)
-class Numbers:
-    """Numbers in a file, as rows (N, K) of float64, and their location: spans of text, or the offset of binary rows."""
+class Numbers(NamedTuple):
+    """Numbers in a file, as rows (N, K) of float64, the offset after them, and what replaces them by others."""
 
     values: Floats
-    spans: Spans = ()
-    start: int = 0
-    rows: npt.NDArray[Any] | None = None
-    columns: Sequence[str] = ()
-
-    @property
-    def end(self) -> int:
-        """The offset after the last number."""
-        if self.rows is not None:
-            return self.start + self.rows.nbytes
-        return self.spans[-1][1] if len(self.spans) else self.start
-
-    def edits(self, new: Floats) -> list[Edit]:
-        """Return the edits that replace the numbers by ``new``; in text, only those that have changed."""
-        if self.rows is None:
-            old, after = self.values.ravel(), new.ravel()
-            return [(*self.spans[k], repr(float(after[k])).encode()) for k in np.flatnonzero(old != after).tolist()]
-        made = self.rows.copy()
-        for name, part in zip(self.columns, np.split(new, len(self.columns), axis=1), strict=True):
-            made[name] = part.reshape(made[name].shape)
-        return [(self.start, self.end, made.tobytes())]
+    end: int
+    edits: Callable[[Floats], list[Edit]]
 
 
 def in_text(data: bytes, spans: Spans, width: int, start: int = 0) -> Numbers:
-    """Return the numbers at spans of text, in rows of ``width``; ValueError for text that is not a number."""
-    return Numbers(np.array([float(data[a:b]) for a, b in spans]).reshape(-1, width), spans, start)
+    """Return the numbers at spans of text, in rows of ``width``; ValueError for text that is not a number.
+
+    Only those that have changed are replaced.
+    """
+    values = np.array([float(data[a:b]) for a, b in spans]).reshape(-1, width)
+
+    def edits(new: Floats) -> list[Edit]:
+        old, after = values.ravel(), new.ravel()
+        return [(*spans[k], repr(float(after[k])).encode()) for k in np.flatnonzero(old != after).tolist()]
+
+    return Numbers(values, spans[-1][1] if len(spans) else start, edits)
 
 
 def in_rows(data: bytes, start: int, count: int, fields: Sequence[Any], columns: Sequence[str]) -> Numbers:
     """Return columns, all of one width, of ``count`` binary rows with these fields; ValueError if they end early."""
     rows = np.frombuffer(data, np.dtype(list(fields)), count, start)
-    values = np.hstack([np.atleast_2d(rows[name].T).T for name in columns]).astype(np.float64)
-    return Numbers(values, start=start, rows=rows, columns=columns)
+    values, end = np.hstack([np.atleast_2d(rows[name].T).T for name in columns]), start + rows.nbytes
+
+    def edits(new: Floats) -> list[Edit]:
+        made = rows.copy()
+        for name, part in zip(columns, np.split(new, len(columns), axis=1), strict=True):
+            made[name] = part.reshape(made[name].shape)
+        return [(start, end, made.tobytes())]
+
+    return Numbers(values.astype(np.float64), end, edits)
 
 
 def tokens(data: bytes, start: int, count: int) -> Spans:

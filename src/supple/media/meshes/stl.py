@@ -20,7 +20,8 @@ def parsed(path: PathLike, data: bytes) -> PointFile:
     count = int.from_bytes(data[80:_HEAD], "little")
     size = _HEAD + count * np.dtype(_FACET).itemsize
     text = data.lstrip()[:5].lower() == b"solid"
-    if len(data) >= _HEAD and (len(data) == size or (len(data) > size and not text)):
+    binary = len(data) >= _HEAD and (len(data) == size or (len(data) > size and not text))
+    if binary:
         facets, head = in_rows(data, _HEAD, count, _FACET, ["numbers"]), data[:80]
     elif text:
         found = list(_TRIPLE.finditer(data))
@@ -38,7 +39,6 @@ def parsed(path: PathLike, data: bytes) -> PointFile:
 
     def rewritten(moved: Floats, _: Floats) -> bytes:
         made = before.copy()
-        binary = facets.rows is not None  # then float32
         made[:, 3:] = (moved.astype(np.float32) if binary else moved)[which].reshape(-1, 9)
         turned = (made != before).any(axis=1)
         first, second, third = np.split(made[turned, 3:], 3, axis=1)

@@ -333,9 +333,7 @@ class Clip(VideoSource):
         kind = self.form.kind
         return {
             "container": self.source.format.name,
-            "codec": self.codec,
-            "width": self.width,
-            "height": self.height,
+            **{name: getattr(self, name) for name in ("codec", "width", "height")},
             "frames": self.count,
             "rate": self.rate,
             "variable": bool(self.survey.starts),
@@ -344,9 +342,7 @@ class Clip(VideoSource):
             "bits": kind.bits,
             "alpha": kind.alpha,
             "range": {1: "limited", 2: "full"}.get(self.colour.range, "unknown"),
-            "primaries": self.colour.primaries,
-            "transfer": self.colour.transfer,
-            "matrix": self.colour.matrix,
+            **{name: getattr(self.colour, name) for name in ("primaries", "transfer", "matrix")},
             "siting": self.colour.site or "unknown",
             "rotation": self.rotation,
             "mirrored": self.mirrored,

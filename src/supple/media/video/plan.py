@@ -62,12 +62,6 @@ def _found(name: str) -> av.Codec | None:
     return found if found.type == "video" else None
 
 
-def _pixel_formats(encoder: str) -> list[str]:
-    """Return the pixel formats of an encoder; empty if it takes any."""
-    found = _found(encoder)
-    return [video.name for video in (found.video_formats or [])] if found else []
-
-
 def _usable(container: Container) -> dict[str, str]:
     """Return the codecs of the table that a container can hold, with their available encoders."""
     held = _held(container)
@@ -412,8 +406,9 @@ class WritePlan:
             context.codec_tag = "hvc1"  # for QuickTime
 
     def _formats(self) -> list[str]:
-        """Return the pixel formats that the encoder takes, and the container can hold."""
-        names = _pixel_formats(self.encoder.name)
+        """Return the pixel formats that the encoder takes, and the container can hold; none if it takes any."""
+        encoder = _found(self.encoder.name)
+        names = [video.name for video in (encoder and encoder.video_formats) or []]
         if self.container.name in codec_of(self.encoder.codec).opaque_in:
             return [name for name in names if not ((found := form(name)) and found.kind.alpha)]
         return names

@@ -116,8 +116,8 @@ def _write_slices(path: PathLike, samples: Array, like: Volume, _: bool) -> None
         heads = [head_of(name) for name in like.header]
     except Exception as error:  # pydicom raises many types
         raise unwritable(path, f"{like.name} is not readable any more", "bring it back") from error
-    places, series = np.array([_place_of(head) for head in heads]), new_uid()
-    common = {_scale_of(head) for head in heads}
+    told, series = [_told(head) for head in heads], new_uid()
+    places, common = np.array([place for place, _ in told]), {scale for _, scale in told}
     with replacing_all(Path(path)) as folder:
         for k, slab in enumerate(samples):
             place = like.geometry.to_lps((0.0, 0.0, k))
@@ -146,16 +146,12 @@ def _nearest(places: Array, place: Array) -> int:
     return int(((places - place) ** 2).sum(axis=1).argmin())
 
 
-def _place_of(head: Any) -> tuple[float, float, float]:
-    known = item_of(head, 0, "PlanePositionSequence") if head.get(_GROUPS) else head
-    x, y, z = (float(value) for value in (known or {}).get("ImagePositionPatient") or (0, 0, 0))
-    return x, y, z
-
-
-def _scale_of(head: Any) -> tuple[float, float]:
-    if head.get(_GROUPS):
-        head = item_of(head, 0, "PixelValueTransformationSequence") or {}
-    return float(head.get("RescaleSlope") or 1), float(head.get("RescaleIntercept") or 0)
+def _told(head: Any) -> tuple[list[float], tuple[float, float]]:
+    """Return the position of a slice, and its rescale slope and intercept."""
+    names = "PlanePositionSequence", "PixelValueTransformationSequence"
+    place, values = ((item_of(head, 0, name) if head.get(_GROUPS) else head) or {} for name in names)
+    scale = float(values.get("RescaleSlope") or 1), float(values.get("RescaleIntercept") or 0)
+    return [float(value) for value in place.get("ImagePositionPatient") or (0, 0, 0)], scale
 
 
 def _derived(head: Any, series: Any, resampled: str) -> Any:
