@@ -12,7 +12,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from supple.errors import SuppleError, shown
-from supple.media.files import PathLike, check_suffix, head_of, unreadable
+from supple.media.files import PathLike, check_suffix, head_of, refusing, unreadable
 from supple.media.points import text_of
 from supple.media.tables import bare, parsed
 from supple.space.geometry import Floats
@@ -84,17 +84,14 @@ def read_faces(path: PathLike, size: tuple[int, int], *, picture: PathLike = "",
         faces = [_of_table(path)]
     else:
         text = head_of(path, -1, _GIVE, _GIVE).decode("utf-8-sig", "replace")
-        try:
+        kinds = ValueError, TypeError, LookupError, AttributeError, RecursionError, ElementTree.ParseError
+        with refusing(lambda _: unreadable(path, f"it is no {_KINDS[suffix]}", _GIVE), *kinds):
             if suffix == ".pts":
                 faces = [named(_of_pts(text) - 1)]  # the first pixel is (1, 1)
             elif suffix == ".xml":
                 faces = _of_xml(path, text, size, picture, turn)
             else:
                 faces = [named(points * size - 0.5) for points in _of_json(text)]
-        except (ValueError, TypeError, LookupError, AttributeError, RecursionError, ElementTree.ParseError) as error:
-            if isinstance(error, SuppleError):
-                raise
-            raise unreadable(path, f"it is no {_KINDS[suffix]}", _GIVE) from None
     for face in faces:
         points = np.array([*face.values()])
         out = np.any(~((points >= -1) & (points <= size)), axis=1)

@@ -20,6 +20,7 @@ _TRIPLES = {"ras": "RAS", "lps": "LPS", "ijk": "index"}
 _STATEMENT = re.compile(r"\s*#\s*CoordinateSystem\s*=\s*(.*)", re.IGNORECASE)
 _COLUMNS = re.compile(r"\s*#\s*columns\s*=", re.IGNORECASE)
 _UNIT = re.compile(r"\s*[(\[].*")
+_COUNTED = {"px", "pixel", "voxel", "index", "i", "j", "k"}
 _AROUND = re.compile(r"(?:pos|position|coord|point)[ _.-]?([xyzt])|([xyzt])[ _.-]?(?:pos|position|coord|mm|px|voxel)")
 
 
@@ -94,7 +95,8 @@ def parsed(
             stated, told = _SYSTEMS[said], "said"
     header, columns, convention = _headed(name, records, comments, data, third, fcsv)
     if not told and header is not None:
-        units = {_unit(records[header].cells[c]) for c in columns}
+        words = (set(re.findall("[a-z]+", bare(records[header].cells[c]).lower())) for c in columns)
+        units = {"mm" if "mm" in each else "px" if each & _COUNTED else "" for each in words}
         told = "said" if convention else "mm" if "mm" in units else "names" if units == {""} else "said"
     rows = [k for k in data if k != header]
     if not rows:
@@ -114,12 +116,6 @@ def parsed(
     lists = (records[row].cells for row in rows)
     labels = tuple(bare(row[label]) if 0 <= label < len(row) else "" for row in lists)
     return table, points, convention or stated, labels, told
-
-
-def _unit(cell: str) -> str:
-    """Return the unit in a column's name: "mm", "px" for counted units, or nothing."""
-    words = re.findall("[a-z]+", bare(cell).lower())
-    return "mm" if "mm" in words else "px" if {"px", "pixel", "voxel", "index", "i", "j", "k"} & set(words) else ""
 
 
 def bare(cell: str) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 from dataclasses import dataclass
 from typing import Any
@@ -18,6 +19,7 @@ _TYPES = {
 }  # fmt: skip
 _ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 _HEADER = re.compile(rb"ply\s*\n.*?\n\s*end_header[ \t]*\r?\n", re.DOTALL)
+_LINE = re.compile(rb"[^\r\n]*\S[^\r\n]*")
 _PLACE, _NORMAL = ["x", "y", "z"], ["nx", "ny", "nz"]
 
 
@@ -105,21 +107,16 @@ def _text(
     path: PathLike, data: bytes, start: int, skipped: int, vertex: _Element, columns: list[str]
 ) -> tuple[meshes.Numbers, int]:
     """Return columns of the vertices, which follow ``skipped`` rows of other elements, and the offset of their end."""
-    places, spans, rows = [list(vertex.kinds).index(name) for name in columns], [], 0
-    for line in data[start:].splitlines(keepends=True):
-        if rows == skipped + vertex.count:
-            break
-        words = [match.span() for match in meshes.TOKEN.finditer(line)]
-        rows += bool(words)
-        if words and rows > skipped:
-            if len(words) != len(vertex.properties):
-                found = f"vertex {rows - skipped} has {len(words)} numbers"
-                raise unreadable(path, found, f"its header says {len(vertex.properties)}")
-            spans += [(start + words[k][0], start + words[k][1]) for k in places]
-        start += len(line)
-    if rows < skipped + vertex.count:
+    places, count = [list(vertex.kinds).index(name) for name in columns], skipped + vertex.count
+    spans, rows = list[tuple[int, int]](), list(itertools.islice(_LINE.finditer(data, start), count))
+    if len(rows) < count:
         raise unreadable(path, f"it ends before its {vertex.count} vertices do")
-    return meshes.in_text(data, spans, len(columns)), start
+    for k, row in enumerate(rows[skipped:], 1):
+        words = [match.span() for match in meshes.TOKEN.finditer(data, *row.span())]
+        if len(words) != len(vertex.properties):
+            raise unreadable(path, f"vertex {k} has {len(words)} numbers", f"its header says {len(vertex.properties)}")
+        spans += [words[place] for place in places]
+    return meshes.in_text(data, spans, len(columns)), rows[-1].end() if rows else start
 
 
 class _Rest:

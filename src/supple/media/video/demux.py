@@ -83,15 +83,6 @@ class Survey:
     keys: tuple[int, ...] = ()
 
 
-# Kept: FFmpeg does not report a truncated GIF (test_a_cut_gif_is_used_with_a_warning).
-def _ends(path: str) -> bool:
-    """Return whether a GIF has its trailer."""
-    with open(path, "rb") as file:
-        file.seek(0, os.SEEK_END)
-        file.seek(max(0, file.tell() - 512))
-        return file.read().rstrip(b"\0").endswith(b";")
-
-
 # Kept: FFmpeg neither reports the number of repetitions (test_how_often_it_plays_comes_through), nor keeps the exact
 # durations of an animated PNG (test_times_of_a_film_are_kept).
 def animation_of(container: av.container.InputContainer) -> tuple[int | None, list[Fraction]]:
@@ -164,17 +155,22 @@ def survey(
                 last = start + step if last is None else max(last, start + step)
     except av.FFmpegError:
         damaged = True
-    damaged |= container.format.name == "gif" and not _ends(container.name)
+    if container.format.name == "gif":  # FFmpeg does not report a missing end (test_a_cut_gif_is_used_with_a_warning)
+        with open(container.name, "rb") as file:
+            file.seek(max(0, os.path.getsize(container.name) - 512))
+            damaged |= not file.read().rstrip(b"\0").endswith(b";")
     base = film.time_base or Fraction(1)
     span = Fraction(last - first) * base if first is not None and last is not None else Fraction(0)
     if sums_up(container):  # VP9's packets have no durations
         span = (total or film.duration or 0) * base or span
-    lasts = _told(film)
+    # the duration in Matroska's tags survives truncation of the file
+    lasts = re.fullmatch(r"(\d+):(\d\d):(\d\d(?:\.\d+)?)", film.metadata.get("DURATION", ""))
     end = span if last is None else max(span, last * base)  # Matroska's duration may count from zero
     reached = last if is_counted(container) and last is not None else packets
     missing = film.frames - max(reached, packets) if film.frames else 0
-    if lasts is not None and packets > 0 and span > 0:
-        missing = round((lasts - end) * packets / span)
+    if lasts and packets > 0 and span > 0:
+        promised = int(lasts[1]) * 3600 + int(lasts[2]) * 60 + Fraction(lasts[3])
+        missing = round((promised - end) * packets / span)
     # In an MP4, an edit list may exclude samples: only an incomplete packet shows truncation.
     cut = missing > _SLOPPY and (suspect or damaged or not sums_up(container))
     starts.sort()
@@ -193,12 +189,6 @@ def survey(
 def sums_up(container: av.container.InputContainer) -> bool:
     """Return whether a packet's duration is the time to the next decoding time, not to the next display time."""
     return "mp4" in container.format.name
-
-
-def _told(film: av.VideoStream) -> Fraction | None:
-    """Return the duration of a film in Matroska's tags, which survives truncation of the file; None if missing."""
-    found = re.fullmatch(r"(\d+):(\d\d):(\d\d(?:\.\d+)?)", film.metadata.get("DURATION", ""))
-    return int(found[1]) * 3600 + int(found[2]) * 60 + Fraction(found[3]) if found else None
 
 
 def packets(container: av.container.InputContainer, streams: list[av.stream.Stream]) -> Iterator[av.Packet[Any]]:

@@ -74,12 +74,6 @@ def named(container: av.container.InputContainer, stream: av.stream.Stream) -> s
     return _DATA.get(kind) or (f"data {kind!r}" if kind and name in ("unknown", "bin_data") else f"{name} data")
 
 
-def picture(path: str, index: int) -> bytes:
-    """Return the bytes of a stream's first packet, such as a cover picture."""
-    with av.open(path, metadata_errors="surrogateescape") as source:
-        return next((bytes(packet) for packet in source.demux(source.streams[index]) if packet.size), b"")
-
-
 def holds(container: Container, template: av.stream.Stream) -> bool:
     """Return whether a container can hold a stream, by writing its header, and a packet of data, into memory."""
     if container.streams is not None and name_of(template) not in container.streams:
@@ -138,7 +132,9 @@ class Passage:
                 kind, tags = name_of(stream), stream.metadata
                 name = tags.get("filename") or f"cover.{'jpg' if kind == 'mjpeg' else kind}"
                 mime = tags.get("mimetype") or f"image/{'jpeg' if kind == 'mjpeg' else kind}"
-                made = output.add_attachment(name, mime, picture(source.name, stream.index))
+                with av.open(source.name, metadata_errors="surrogateescape") as again:
+                    data = (bytes(packet) for packet in again.demux(again.streams[stream.index]) if packet.size)
+                    made = output.add_attachment(name, mime, next(data, b""))
                 made.metadata.update({"filename": name, "mimetype": mime} | kept_tags(tags))
             elif holds(container, stream):
                 self._streams[stream.index] = copied(output, stream)
