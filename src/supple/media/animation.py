@@ -110,10 +110,14 @@ class AnimationSink(PictureSink):
         """Encode frame ``k``."""
         ticks, lasts = self._clip.time(k)
         pixels, like = self._rendered(arrays, k)
-        left, top, width, height = box = _changed(pixels, self._before, self._step)
+        left, top, right, bottom = 0, 0, pixels.shape[1], pixels.shape[0]
+        if self._before is not None:  # the box around the pixels that differ; one pixel if none do
+            left, top, right, bottom = bounds((pixels != self._before).any(axis=2)) or (0, 0, 1, 1)
+            left, top = left // self._step * self._step, top // self._step * self._step
         self._before = pixels.copy()
-        self._save(k, pixels[top : top + height, left : left + width], like)
+        self._save(k, pixels[top:bottom, left:right], like)
         (self._temporary / self._names(k)).rename(self._temporary / str(len(self._parts)))
+        box = left, top, right - left, bottom - top
         self._parts.append((box, ticks * self._clip.base, (ticks + lasts) * self._clip.base))
 
     def finish(self, file: IO[bytes]) -> None:
@@ -122,15 +126,6 @@ class AnimationSink(PictureSink):
         times = (until - starts[0] for until in (*starts[1:], ends[-1]))
         stills = ((self._temporary / str(k)).read_bytes() for k in range(len(boxes)))
         self._put(file, self._clip, zip(stills, boxes, times, strict=True))
-
-
-def _changed(pixels: Array, before: Array | None, step: int) -> Box:
-    """Return the box around the pixels that differ: x, y, width and height; one pixel if none do."""
-    if before is None:
-        return 0, 0, pixels.shape[1], pixels.shape[0]
-    left, top, right, bottom = bounds((pixels != before).any(axis=2)) or (0, 0, 1, 1)
-    left, top = left // step * step, top // step * step
-    return left, top, right - left, bottom - top
 
 
 @contextlib.contextmanager

@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from supple.errors import listing, need
+from supple.errors import listing, needed
 from supple.media.files import PathLike, head_of, unreadable, unwritable
 from supple.media.image.formats import Array, Box, bounds, damaged
 from supple.media.pictures import EXR_MAGIC
@@ -155,10 +155,7 @@ def _over(array: Array, box: Box, target: Box) -> Array:
 
 def imported() -> Any:
     """Return the module OpenEXR, imported at the first use."""
-    need("exr", "OpenEXR pictures and maps", "OpenEXR")
-    import OpenEXR
-
-    return OpenEXR
+    return needed("exr", "OpenEXR pictures and maps", "OpenEXR")
 
 
 @contextlib.contextmanager

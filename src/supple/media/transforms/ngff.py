@@ -15,7 +15,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from supple.engine.work import Array
-from supple.errors import SuppleError, need, said
+from supple.errors import SuppleError, needed, said
 from supple.media.files import PathLike, check_suffix, refusing, replacing_together, unreadable, unwritable
 from supple.media.transforms.base import Content, Displacements, Grids, Matrix, check_content, inverse
 from supple.media.volume.data import MILLIMETRES
@@ -179,10 +179,7 @@ def _field(
 
 def imported(what: str = "transformations of OME-Zarr") -> Any:
     """Return the module zarr, imported at the first use; ``what`` names, in an error, the feature that needs it."""
-    need("zarr", what, "zarr")
-    import zarr
-
-    return zarr
+    return needed("zarr", what, "zarr")
 
 
 def space_matrix(axes: Sequence[Json], units: Sequence[str | None], error: Refusal) -> Matrix:

@@ -15,7 +15,7 @@ from typing import IO, Any, cast
 
 import numpy as np
 
-from supple.errors import VolumeWarning, need, shown
+from supple.errors import VolumeWarning, needed, shown
 from supple.media.files import PathLike, head_of, replacing, unreadable
 from supple.media.volume.data import (
     DTYPES,
@@ -47,16 +47,14 @@ def imported() -> Any:
     pydicom is hidden during the import: nibabel would import it for a rare extension of NIfTI, which takes seven times
     as long as nibabel itself. Without it, these extensions are bytes, which are copied.
     """
-    need("volume", "NIfTI files", "nibabel")
     hidden = not sys.modules.keys() & {"nibabel", "pydicom"}
     if hidden:
         sys.modules["pydicom"] = None  # type: ignore[assignment]
     try:
-        import nibabel
+        return needed("volume", "NIfTI files", "nibabel")
     finally:
         if hidden:
             del sys.modules["pydicom"]
-    return nibabel
 
 
 def read(path: PathLike, *, header_only: bool = False) -> Volume:

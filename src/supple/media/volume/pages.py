@@ -15,7 +15,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from supple.errors import VolumeWarning, need, said, shown
+from supple.errors import VolumeWarning, needed, said, shown
 from supple.media.files import PathLike, refusing, replacing, unreadable, unwritable
 from supple.media.volume.data import MILLIMETRES, Array, Volume, native
 from supple.space.geometry import Geometry
@@ -104,9 +104,7 @@ def series_of(path: PathLike, *, alike: bool = False) -> Iterator[tuple[Any, Any
     Further images, and messages that tifffile logs, become warnings. SuppleError if it is damaged or incomplete; or,
     with ``alike``, if pages differ in a file without metadata that declares several images.
     """
-    need("volume", "TIFFs of several pages", "tifffile")
-    import tifffile
-
+    tifffile = needed("volume", "TIFFs of several pages", "tifffile")
     with contextlib.ExitStack() as stack:
         with reading(path), _heard(path):
             file = stack.enter_context(tifffile.TiffFile(path))
@@ -242,9 +240,7 @@ def write(path: PathLike, samples: Array, like: Volume, *, force: bool = False) 
     x, y, z = (step / 10 for step in like.geometry.spacing)  # TIFF's unit is the centimetre
     image = wrapped(tall, meant(array.dtype, tall.shape[2] if tall.ndim == 3 else 1, ""), 32)
     if Path(Path(path).stem).suffix.lower() == ".ome":
-        need("volume", "OME-TIFF", "tifffile")
-        import tifffile
-
+        tifffile = needed("volume", "OME-TIFF", "tifffile")
         sizes = {f"PhysicalSize{axis}": step for axis, step in zip("XYZ", like.geometry.spacing, strict=True)}
         units = {f"{name}Unit": "mm" for name in sizes}
         pace = {"TimeIncrement": like.interval} if like.series else {}
