@@ -181,7 +181,7 @@ class Clip(VideoSource):
             self.source = demux.opened(self.path)
         self._fresh = False
         film = demux.chosen(self.source, self.path)
-        others = [self.source.streams[index] for index in self.passage.indices] if self.passage else []
+        others = [self.source.streams[index] for index in self.passage.streams] if self.passage else []
         times = self._times = []
         usual = demux.usual_step(self.rate, self.base)
         counted = demux.is_counted(self.source)
@@ -210,7 +210,9 @@ class Clip(VideoSource):
                     if found == self.count and demux.sums_up(self.source) and frame.pts is not None and times:
                         left = round(self.survey.duration / self.base) - (frame.pts - times[0][0])
                         lasts = left if left > 0 else lasts
-                    demux.add_time(times, shown_at.popleft() if shown_at else frame.pts, lasts)
+                    pts = shown_at.popleft() if shown_at else frame.pts
+                    start = sum(times[-1] if times else ()) if pts is None else pts
+                    times.append((max(start, times[-1][0] + 1) if times else start, lasts))  # starts ascend
                     if copies:
                         made_of = sent.pop(frame.pts, None)
                         self._packets.append(None if frame.is_corrupt else made_of)

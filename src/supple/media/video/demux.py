@@ -227,13 +227,6 @@ def decoded_by(decoder: av.VideoCodecContext, packet: av.Packet[Any] | None) -> 
         return None
 
 
-def add_time(times: list[tuple[int, int]], pts: int | None, lasts: int) -> None:
-    """Add start and duration of a frame to those before it, in ticks; a start that is missing or not later is moved."""
-    before, due = (times[-1][0], sum(times[-1])) if times else (None, 0)
-    start = due if pts is None else pts
-    times.append((start if before is None else max(start, before + 1), lasts))
-
-
 def usual_step(rate: Fraction, base: Fraction) -> int:
     """Return the ticks of one frame at a rate."""
     return max(1, round(1 / (rate * base)))
