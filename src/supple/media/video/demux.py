@@ -7,6 +7,7 @@ import itertools
 import mmap
 import os
 import re
+from bisect import bisect_left
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
@@ -180,9 +181,8 @@ def survey(
     seconds = tuple(float((start - starts[0]) * base) for start in starts) if varies else ()
     broken = damaged or cut
     found = Survey(packets, count, span, broken, suspect or broken, seconds, max(0, missing) if broken else 0)
-    numbers = {start: k for k, start in enumerate(starts)}
-    if told and not found.suspect and len(numbers) == len(starts) == packets:
-        found = replace(found, times=tuple(starts), keys=tuple(sorted(numbers[key] for key in keys)))
+    if told and not found.suspect and len(starts) == packets and min(steps, default=1) > 0:
+        found = replace(found, times=tuple(starts), keys=tuple(bisect_left(starts, key) for key in sorted(keys)))
     return found, next(iter(decoded or decoded_by(decoder, None) or ()), None)
 
 
