@@ -133,6 +133,7 @@ def test_scripts_of_nuke() -> None:
             "time,x,y\n1,2,3\n",
             "line 2: its columns are not a frame, x and y, and a name besides: give a table frame,x,y",
         ),
+        ("i,j,k\n1,2,3\n", "line 2: its columns are not a frame, x and y"),
         ("frame,x,x,y\n1,2,3,4\n", "line 1: several columns are named x"),
         ("frame,x,y\n1,2\n", "line 2: it has 2 cells: give 3"),
         ("1,2\n", "line 1: its columns are not a frame, x and y"),

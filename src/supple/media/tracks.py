@@ -129,7 +129,8 @@ def _table(path: PathLike, text: str) -> tuple[bool, _Keys]:
     table, points, _, labels, _ = parsed(shown(path), text, fcsv=False, third=("frame",))
     headed, rows = table.header is not None, [table.records[row] for row in table.rows]
     rest = [k for k in range(len(rows[0].cells)) if k not in table.columns]
-    if points.shape[1] < 3 or (not headed and len(rest) > 1):
+    last = "frame" if table.header is None else table.records[table.header].cells[table.columns[-1]].lower()
+    if points.shape[1] < 3 or "frame" not in last or (not headed and len(rest) > 1):
         raise unreadable(path, f"line {rows[0].line}: its columns are not a frame, x and y, and a name besides", _GIVE)
     if headed:
         points = points[:, [2, 0, 1]]
