@@ -8,6 +8,7 @@ import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextvars import ContextVar
 from dataclasses import dataclass, replace
+from importlib import import_module
 from importlib.util import find_spec
 from typing import Any
 
@@ -108,6 +109,12 @@ def need(extra: str, what: str, *modules: str) -> None:
     for module in modules:
         if find_spec(module) is None:
             raise SuppleError(f"{what} need {module}, which is not installed: pip install 'supple[{extra}]'")
+
+
+def needed(extra: str, what: str, module: str) -> Any:
+    """Return a module, imported at the first use; SuppleError as by `need`."""
+    need(extra, what, module)
+    return import_module(module)
 
 
 class FoldError(SuppleError):

@@ -12,7 +12,8 @@ import numpy.typing as npt
 import pytest
 
 from supple import SuppleError
-from supple.media.points import PointFile, read_points, write_points
+from supple.media.meshes import PointFile
+from supple.media.points import read_points, write_points
 
 Floats = npt.NDArray[np.float64]
 

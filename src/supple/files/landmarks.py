@@ -15,7 +15,8 @@ from supple.deformation import Deformation
 from supple.errors import FoldWarning, OutsideWarning, SuppleError, ToleranceWarning, VolumeWarning, argument, shown
 from supple.fields import folds_of
 from supple.media.files import PathLike, check_output
-from supple.media.points import FLIP, PointFile, check_target, read_points, write_points
+from supple.media.meshes import PointFile
+from supple.media.points import FLIP, check_target, read_points, write_points
 from supple.media.volume import Volume
 from supple.media.volume import read as read_volume
 from supple.media.volume.dicom import frame_of_reference

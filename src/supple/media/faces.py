@@ -12,9 +12,9 @@ from xml.etree import ElementTree
 import numpy as np
 
 from supple.errors import SuppleError, shown
-from supple.media.files import PathLike, check_suffix, head_of, unreadable
-from supple.media.points import read_points
-from supple.media.tables import bare
+from supple.media.files import PathLike, check_suffix, head_of, refusing, unreadable
+from supple.media.points import text_of
+from supple.media.tables import bare, parsed
 from supple.space.geometry import Floats
 
 Face = dict[str, tuple[float, float]]
@@ -84,17 +84,14 @@ def read_faces(path: PathLike, size: tuple[int, int], *, picture: PathLike = "",
         faces = [_of_table(path)]
     else:
         text = head_of(path, -1, _GIVE, _GIVE).decode("utf-8-sig", "replace")
-        try:
+        kinds = ValueError, TypeError, LookupError, AttributeError, RecursionError, ElementTree.ParseError
+        with refusing(lambda _: unreadable(path, f"it is no {_KINDS[suffix]}", _GIVE), *kinds):
             if suffix == ".pts":
                 faces = [named(_of_pts(text) - 1)]  # the first pixel is (1, 1)
             elif suffix == ".xml":
                 faces = _of_xml(path, text, size, picture, turn)
             else:
                 faces = [named(points * size - 0.5) for points in _of_json(text)]
-        except (ValueError, TypeError, LookupError, AttributeError, RecursionError, ElementTree.ParseError) as error:
-            if isinstance(error, SuppleError):
-                raise
-            raise unreadable(path, f"it is no {_KINDS[suffix]}", _GIVE) from None
     for face in faces:
         points = np.array([*face.values()])
         out = np.any(~((points >= -1) & (points <= size)), axis=1)
@@ -129,15 +126,15 @@ def plain(name: str) -> str:
 
 
 def _of_table(path: PathLike) -> Face:
-    read = read_points(path)
-    names, table = read.labels, read._as_read
+    name = shown(path)
+    table, points, _, names, _ = parsed(name, text_of(path), fcsv=False)
     if not any(names) and 0 not in table.columns:  # without a header, text in the first cell is a name
         names = tuple(bare(table.records[row].cells[0]) for row in table.rows)
-    if not any(names) and len(read.points) not in (68, 468, 478):
-        raise SuppleError(f"{read.name} has {len(read.points)} points without names: give them in a column name")
-    face = named(read.points[:, :2], names)
+    if not any(names) and len(points) not in (68, 468, 478):
+        raise SuppleError(f"{name} has {len(points)} points without names: give them in a column name")
+    face = named(points[:, :2], names)
     if any(names) and len(face) < len(names):
-        raise SuppleError(f"{read.name} has a landmark without a name, or two of one: give each a name of its own")
+        raise SuppleError(f"{name} has a landmark without a name, or two of one: give each a name of its own")
     return face
 
 

@@ -9,11 +9,10 @@ import numpy as np
 
 from supple.errors import SuppleError
 from supple.media.volume import itk, nifti
-from supple.media.volume.data import TO_RAS, Array, Volume, native, placed, rescaled_dtype
+from supple.media.volume.data import MILLIMETRES, TO_RAS, Array, Volume, native, placed, rescaled_dtype
 from supple.space.checks import library_of
 from supple.space.geometry import Geometry, Grid
 
-_UNITS = {"meter": 1000.0, "micron": 0.001}  # of NIfTI, in millimetres
 _NAME = "the image"
 
 
@@ -84,7 +83,7 @@ def _of_nibabel(image: Any) -> Held:
     sizes, more = (*data.shape, 1, 1)[:3], data.shape[3:]
     samples = data.reshape(*sizes, -1).transpose(2, 1, 0, 3)
     samples = native(samples if more else samples[..., 0])
-    unit = _UNITS.get(image.header.get_xyzt_units()[0], 1.0) if hasattr(image.header, "get_xyzt_units") else 1.0
+    unit = MILLIMETRES.get(image.header.get_xyzt_units()[0], 1.0) if hasattr(image.header, "get_xyzt_units") else 1.0
     to_mm = np.diag([unit, unit, unit, 1.0])
     grid = placed(_NAME, to_mm @ image.affine, "RAS").grid(samples.shape[:3])
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import json
 import re
-from dataclasses import dataclass, field
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,8 +15,8 @@ import numpy.typing as npt
 from supple.errors import SuppleError, said, shown
 from supple.media import meshes
 from supple.media.files import PathLike, check_suffix, head_of, refusing, replacing, unreadable
-from supple.media.meshes import Ints, Mesh, Part
-from supple.media.tables import Table, parsed
+from supple.media.meshes import PointFile
+from supple.media.tables import parsed
 from supple.media.volume import Volume
 from supple.space.checks import LARGEST, value_shown
 from supple.space.geometry import Floats
@@ -29,63 +29,9 @@ FLIP = np.array([-1.0, -1.0, 1.0])
 """Signs that convert positions between LPS and RAS."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class PointFile:
-    """Points, and the other contents of their file.
-
-    Parameters
-    ----------
-    points : float64 array, shape (N, 2) or (N, 3)
-        x first.
-    convention : str
-        ``"LPS"`` or ``"RAS"``, in millimetres; or ``"index"``, in pixels, frames or voxels from 0: the default for a
-        table.
-    labels : tuple of str
-        One for each point; may be empty.
-    name : str
-        The name for messages.
-    kind : str
-        ``"CSV"``, ``"fcsv"`` or ``"JSON"``; or, of a mesh, one of `supple.media.meshes.KINDS`.
-    told : str
-        The source of the convention: ``"said"`` (the file), ``"mm"`` or ``"names"`` (columns x, y and z, with that unit
-        or without one), or ``""``.
-    normals : float64 array, shape (M, 3)
-        Normals of a mesh, in the convention of its points.
-    normals_at : int array, shape (M,)
-        The point of each normal.
-    """
-
-    points: Floats
-    convention: str
-    labels: tuple[str, ...]
-    name: str
-    kind: str
-    _as_read: Any = field(repr=False)
-    told: str = "said"
-    normals: Floats = field(default_factory=lambda: np.zeros((0, 3)))
-    normals_at: Ints = field(default_factory=lambda: np.zeros(0, np.intp))
-
-    def parts(self) -> list[Part]:
-        """Return the triangles and lines of a mesh; SuppleError if it has none, or they are damaged."""
-        with meshes.parsing(self.name):
-            made = self._as_read.parts() if isinstance(self._as_read, Mesh) else []
-        if not any(len(part.triangles) + len(part.lines) for part in made):
-            raise unreadable(self.name, "it has no faces, lines or contours", "give a mesh")
-        return made
-
-
 # Entries of a plane that Slicer derives from its control points; and its size, derived if it is automatic.
 _OF_PLANES = ("center", "origin", "normal", "orientation", "baseToNode", "baseToNodeMatrix")
 _SIZES = ("size", "planeBounds")
-
-
-@dataclass(frozen=True, slots=True)
-class _Markups:
-    """A ``.mrk.json`` and its placed points: (markup, control point, whether x and y are flipped)."""
-
-    data: dict[str, Any]
-    places: tuple[tuple[int, int, bool], ...]
-    text: str
 
 
 def check_target(path: PathLike, source: PathLike) -> None:
@@ -109,15 +55,17 @@ def read_points(path: PathLike, *, mesh: bool = False, series: Volume | None = N
     """
     name, kind = shown(path), _kind("read", path, mesh=mesh)
     if kind in meshes.KINDS.values():
-        found = meshes.read_mesh(path, kind, series)
-        said, none = found.convention, ("",) * len(found.points)
-        told = "said" if said else "mesh"
-        return PointFile(found.points, said or "index", none, name, kind, found, told, found.normals, found.at)
-    text = _text(path)
+        return meshes.read_mesh(path, kind, series)
+    text = text_of(path)
     if kind == "JSON":
         return _from_json(name, text)
     table, points, convention, labels, told = parsed(name, text, fcsv=kind == "fcsv")
-    return PointFile(points, convention, labels, name, kind, table, told)
+
+    def rewritten(new: Floats, _: Floats, notes: tuple[str, Floats] | None = None) -> bytes:
+        column = None if notes is None else (notes[0], [f"{x:.3g}" for x in notes[1].tolist()])
+        return table.written(new, points, column).encode("utf-8", "surrogateescape")
+
+    return PointFile(points, convention, rewritten, labels=labels, name=name, kind=kind, told=told)
 
 
 def write_points(
@@ -144,13 +92,8 @@ def write_points(
     if made.shape != like.points.shape or not np.isfinite(made).all():
         wanted = f"an array of finite numbers of shape {like.points.shape}"
         raise SuppleError(f"cannot write {shown(path)}: points must be {wanted}, as in {like.name}")
-    if isinstance(like._as_read, Mesh):
-        data = like._as_read.rewritten(made, like.normals if normals is None else normals)
-    elif isinstance(like._as_read, Table):
-        column = None if notes is None or like.kind != "CSV" else (notes[0], [f"{x:.3g}" for x in notes[1].tolist()])
-        data = like._as_read.written(made, like.points, column).encode("utf-8", "surrogateescape")
-    else:
-        data = _to_json(like._as_read, made, like.points, like.name).encode("utf-8", "surrogateescape")
+    more = () if notes is None or like.kind != "CSV" else (notes,)
+    data = like.rewritten(made, like.normals if normals is None else normals, *more)
     with replacing(path, force=force) as temporary:
         temporary.write_bytes(data)
 
@@ -161,7 +104,8 @@ def _kind(verb: str, path: PathLike, *, mesh: bool = True) -> str:
     return known[suffix.lower()]
 
 
-def _text(path: PathLike) -> str:
+def text_of(path: PathLike) -> str:
+    """Return the text of a file; SuppleError if it is empty or none."""
     data = head_of(path, -1, _GIVE, _GIVE)
     if not data.strip():
         raise unreadable(path, "it is empty", _GIVE)
@@ -177,7 +121,7 @@ def _from_json(name: str, text: str) -> PointFile:
         what = f"{where}it is damaged, or no list of markups ({said(error)})"
         return unreadable(name, what, "save it from Slicer as .mrk.json")
 
-    places: list[tuple[int, int, bool]] = []
+    places: list[tuple[int, int, bool]] = []  # (markup, control point, whether x and y are flipped)
     points: list[Floats] = []
     labels, first = [], ""
     with refusing(refused, ArithmeticError, ValueError, LookupError, TypeError, AttributeError, RecursionError):
@@ -196,7 +140,12 @@ def _from_json(name: str, text: str) -> PointFile:
                     labels.append(str(control.get("label") or ""))
     if not points:
         raise unreadable(name, "it holds no points that are placed", "place some")
-    return PointFile(np.array(points), first, tuple(labels), name, "JSON", _Markups(data, tuple(places), text))
+    before = np.array(points)
+
+    def rewritten(new: Floats, _: Floats) -> bytes:
+        return _to_json(data, text, places, new, before, name).encode("utf-8", "surrogateescape")
+
+    return PointFile(before, first, rewritten, labels=tuple(labels), name=name, kind="JSON")
 
 
 def _numbers(value: object) -> Floats:
@@ -222,15 +171,16 @@ def _drop_measured(markup: dict[str, Any], m: int, name: str) -> None:
         raise SuppleError(f"cannot move {name}: markup {m + 1} is {told} in 3D Slicer, or leave it out")
 
 
-def _to_json(markups: _Markups, points: Floats, before: Floats, name: str) -> str:
-    data = copy.deepcopy(markups.data)
-    for (m, k, flipped), new, old in zip(markups.places, points, before, strict=True):
+def _to_json(
+    data: Any, text: str, places: Sequence[tuple[int, int, bool]], points: Floats, before: Floats, name: str
+) -> str:
+    data = copy.deepcopy(data)
+    for (m, k, flipped), new, old in zip(places, points, before, strict=True):
         signs, markup = FLIP if flipped else np.ones(3), data["markups"][m]
         for i in np.flatnonzero(new != old):
             markup["controlPoints"][k]["position"][i] = float(new[i] * signs[i])
         if (new != old).any():
             _drop_measured(markup, m, name)
-    text = markups.text
     step = re.match(r"\ufeff?\s*\{\r?\n([ \t]+)", text)
     made = json.dumps(data, indent=step[1] if step else 4, ensure_ascii=text.isascii())
     if not re.search(r"\[\s*\n\s*[-\d]", text):  # Slicer writes a list of numbers on one line

@@ -20,6 +20,7 @@ _TRIPLES = {"ras": "RAS", "lps": "LPS", "ijk": "index"}
 _STATEMENT = re.compile(r"\s*#\s*CoordinateSystem\s*=\s*(.*)", re.IGNORECASE)
 _COLUMNS = re.compile(r"\s*#\s*columns\s*=", re.IGNORECASE)
 _UNIT = re.compile(r"\s*[(\[].*")
+_COUNTED = {"px", "pixel", "voxel", "index", "i", "j", "k"}
 _AROUND = re.compile(r"(?:pos|position|coord|point)[ _.-]?([xyzt])|([xyzt])[ _.-]?(?:pos|position|coord|mm|px|voxel)")
 
 
@@ -66,8 +67,12 @@ class Table:
         return self.mark + "".join(self.delimiter.join(cells) + end for cells, end in zip(records, ends, strict=True))
 
 
-def parsed(name: str, text: str, *, fcsv: bool) -> tuple[Table, Floats, str, tuple[str, ...], str]:
+def parsed(
+    name: str, text: str, *, fcsv: bool, third: tuple[str, ...] = ("z", "t", "frame")
+) -> tuple[Table, Floats, str, tuple[str, ...], str]:
     """Return a table, its points (N, 2) or (N, 3), their convention and labels, and the source of the convention.
+
+    The third coordinate is in a column with one of the names ``third``.
 
     The source is "said", "mm" or "names" (x, y and z with that unit, or without any), or empty; SuppleError names the
     line at fault.
@@ -88,12 +93,10 @@ def parsed(name: str, text: str, *, fcsv: bool) -> tuple[Table, Floats, str, tup
             if said not in _SYSTEMS:
                 _refuse(name, records[k], f"the coordinate system {value_shown(said)} is unknown", "give LPS or RAS")
             stated, told = _SYSTEMS[said], "said"
-    if fcsv:
-        header, columns, convention = _slicers(name, records, comments, lines)
-    else:
-        header, columns, convention = _headed(name, records, comments, data)
+    header, columns, convention = _headed(name, records, comments, data, third, fcsv)
     if not told and header is not None:
-        units = {_unit(records[header].cells[c]) for c in columns}
+        words = (set(re.findall("[a-z]+", bare(records[header].cells[c]).lower())) for c in columns)
+        units = {"mm" if "mm" in each else "px" if each & _COUNTED else "" for each in words}
         told = "said" if convention else "mm" if "mm" in units else "names" if units == {""} else "said"
     rows = [k for k in data if k != header]
     if not rows:
@@ -108,13 +111,11 @@ def parsed(name: str, text: str, *, fcsv: bool) -> tuple[Table, Floats, str, tup
     if points is None:  # cell by cell: for quoted numbers, or an error with the line
         points = np.array([[_coordinate(name, records[row], c) for c in columns] for row in rows])
     table = Table(text[: len(text) - len(plain)], records, delimiter, header, rows, columns)
-    return table, points, convention or stated, _labels(table, fcsv), told
-
-
-def _unit(cell: str) -> str:
-    """Return the unit in a column's name: "mm", "px" for counted units, or nothing."""
-    words = re.findall("[a-z]+", bare(cell).lower())
-    return "mm" if "mm" in words else "px" if {"px", "pixel", "voxel", "index", "i", "j", "k"} & set(words) else ""
+    names = [] if header is None else [bare(cell.lstrip(" \t#")).lower() for cell in records[header].cells]
+    label = next((names.index(known) for known in ("label", "name", "id") if known in names), 11 if fcsv else -1)
+    lists = (records[row].cells for row in rows)
+    labels = tuple(bare(row[label]) if 0 <= label < len(row) else "" for row in lists)
+    return table, points, convention or stated, labels, told
 
 
 def bare(cell: str) -> str:
@@ -178,64 +179,43 @@ def _coordinate(name: str, record: _Record, column: int) -> float:
     return value
 
 
-def _slicers(
-    name: str, records: list[_Record], comments: list[int], lines: list[tuple[int, str, str]]
-) -> tuple[None, tuple[int, ...], str | None]:
-    for k in comments:
-        if found := _COLUMNS.match(lines[k][1]):
-            names = lines[k][1][found.end() :].split(",")
-            axes = _axes(name, records[k], names)
-            if axes is None or len(axes[0]) != 3:
-                _refuse(name, records[k], "the columns are not x, y and z", "name them so")
-            return None, *axes
-    return None, (1, 2, 3), None
-
-
 def _headed(
-    name: str, records: list[_Record], comments: list[int], data: list[int]
+    name: str, records: list[_Record], comments: list[int], data: list[int], third: tuple[str, ...], fcsv: bool
 ) -> tuple[int | None, tuple[int, ...], str | None]:
     """Return the header row or None, the columns of coordinates, and the convention that their names imply or None."""
     first = records[data[0]]
-    numbers = [c for c, cell in enumerate(first.cells) if _number(cell) is not None]
-    if not numbers:
-        axes = _axes(name, first, first.cells)
-        if axes is None:
+    numbers = [] if fcsv else [c for c, cell in enumerate(first.cells) if _number(cell) is not None]
+    if fcsv:
+        rows = [k for k in comments if _COLUMNS.match(records[k].cells[0])][:1]
+    else:
+        rows = [k for k in comments[-1:] if len(records[k].cells) == len(first.cells)] if numbers else data[:1]
+    for k in rows:
+        start, *rest = records[k].cells
+        axes = _axes(name, records[k], [_COLUMNS.sub("", start).lstrip(" \t#"), *rest], third)
+        if axes is not None and (len(axes[0]) == 3 or not fcsv):
+            return None if fcsv else k, *axes
+        if fcsv:
+            _refuse(name, records[k], "the columns are not x, y and z", "name them so")
+        if not numbers:
             found = "neither are there numbers, nor names of columns x and y"
             _refuse(name, first, found, "name them in the first line, with , ; or tabs between")
-        return data[0], *axes
-    if comments and len(records[comments[-1]].cells) == len(first.cells):
-        names = [records[comments[-1]].cells[0].lstrip(" \t#"), *records[comments[-1]].cells[1:]]
-        axes = _axes(name, records[comments[-1]], names)
-        if axes is not None:
-            return comments[-1], *axes
-    if len(numbers) < 2:
+    if len(numbers) == 1:
         _refuse(name, first, "only one cell is a number", "give x and y, and z or t for volumes and videos")
-    return None, tuple(numbers[:3]), None
+    return None, tuple(numbers[:3]) or (1, 2, 3), None
 
 
-def _axes(name: str, record: _Record, names: list[str]) -> tuple[tuple[int, ...], str | None] | None:
+def _axes(
+    name: str, record: _Record, names: list[str], third: tuple[str, ...]
+) -> tuple[tuple[int, ...], str | None] | None:
     plain = [_UNIT.sub("", bare(cell).lower()) for cell in names]
     loose = [(found[1] or found[2]) if (found := _AROUND.fullmatch(cell)) else cell for cell in plain]
-    for known in (plain, loose):
-        if "x" in known and "y" in known:
-            third = [axis for axis in ("z", "t", "frame") if axis in known][:1]
-            return _places(name, record, known, ["x", "y", *third]), None
-    for triple, convention in _TRIPLES.items():
-        if set(triple) <= set(plain):
-            return _places(name, record, plain, list(triple)), convention
+    kinds: list[tuple[list[str], str, str | None]] = [(plain, "xy", None), (loose, "xy", None)]
+    kinds += [(plain, *triple) for triple in _TRIPLES.items()]
+    for known, axes, convention in kinds:
+        if set(axes) <= set(known):
+            last = [axis for axis in third if axis in known][:1] if axes == "xy" else []
+            for axis in (*axes, *last):
+                if known.count(axis) > 1:
+                    _refuse(name, record, f"several columns are named {axis}", "leave the name to one")
+            return tuple(known.index(axis) for axis in (*axes, *last)), convention
     return None
-
-
-def _places(name: str, record: _Record, known: list[str], axes: list[str]) -> tuple[int, ...]:
-    for axis in axes:
-        if known.count(axis) > 1:
-            _refuse(name, record, f"several columns are named {axis}", "leave the name to one")
-    return tuple(known.index(axis) for axis in axes)
-
-
-def _labels(table: Table, fcsv: bool) -> tuple[str, ...]:
-    head = [] if table.header is None else table.records[table.header].cells
-    names = [bare(cell.lstrip(" \t#")).lower() for cell in head]
-    column = next((names.index(known) for known in ("label", "name", "id") if known in names), 11 if fcsv else None)
-    cells = [table.records[row].cells for row in table.rows]
-    return tuple(bare(row[column]) if column is not None and column < len(row) else "" for row in cells)

@@ -30,7 +30,7 @@ class Numbering:
         """
         if re.fullmatch(PATTERN, text):
             ends = [self.timecode(0), self.timecode(self.count - 1)]
-            day = 24 * 3600 * self._base - self._dropped(24 * 60, self._drops(text))
+            day = 24 * (3600 * self._base - 54 * self._drops(text))
             found = (self._counted(what, text) - self._begin) % day  # a clip may go on past midnight
         else:
             ends = [str(self.first), str(self.first + self.count - 1)]
@@ -66,9 +66,6 @@ class Numbering:
         """Return how many numbers drop-frame timecode skips each minute, except every tenth; 0 for other timecodes."""
         return 2 * (self._base // 30) if re.search(r"[;.]", text) and self._base % 30 == 0 else 0
 
-    def _dropped(self, minutes: int, drops: int) -> int:
-        return drops * (minutes - minutes // 10)
-
     def _counted(self, what: str, text: str) -> int:
         """Return the frames from 00:00:00:00 to a timecode."""
         hours, minutes, seconds, frames = map(int, re.split("[:;.]", text))
@@ -82,4 +79,5 @@ class Numbering:
         if otherwise or dropped or max(minutes, seconds) > 59 or frames >= base:
             written = f"of {base} frames a second, written as {self.start or '00:00:00:00'}"
             raise SuppleError(f"{what} {text} is no timecode of {self.name}, which is {written}")
-        return ((60 * hours + minutes) * 60 + seconds) * base + frames - self._dropped(60 * hours + minutes, drops)
+        minutes += 60 * hours
+        return (60 * minutes + seconds) * base + frames - drops * (minutes - minutes // 10)

@@ -12,8 +12,8 @@ import vtk
 from vtk.util.numpy_support import numpy_to_vtk
 
 from supple import SuppleError
-from supple.media.meshes import Part, joined, part_of
-from supple.media.points import PointFile, read_points
+from supple.media.meshes import Part, PointFile, joined, part_of
+from supple.media.points import read_points
 from tests.media.meshes import made
 from tests.media.meshes.contours import circle, structures
 from tests.media.meshes.made import KINDS, Floats

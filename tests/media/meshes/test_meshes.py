@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from supple import SuppleError
-from supple.media.points import PointFile, read_points, write_points
+from supple.media.meshes import PointFile
+from supple.media.points import read_points, write_points
 from tests.media.meshes import made
 from tests.media.meshes.made import KINDS, Floats
 

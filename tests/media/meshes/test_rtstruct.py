@@ -12,7 +12,8 @@ import pytest
 from supple import Deformation, SuppleError
 from supple.errors import VolumeWarning
 from supple.files.landmarks import move_points, warn_of_frame
-from supple.media.points import PointFile, read_points, write_points
+from supple.media.meshes import PointFile
+from supple.media.points import read_points, write_points
 from supple.media.volume import read, write
 from tests.media.meshes.contours import circle, contour, contours, points_of, structures
 from tests.media.volume.test_dicom import slices

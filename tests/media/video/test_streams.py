@@ -151,7 +151,7 @@ def flash_and_click(path):
 def seen_and_heard(path):
     """The seconds at which the frame is white, as `Clip` tells times, and the click begins."""
     with open_video(path) as clip:
-        clip.passage = types.SimpleNamespace(indices=[], take=None)
+        clip.passage = types.SimpleNamespace(streams=[], take=None)
         light = []
         for k, frame in enumerate(clip.frames()):
             arrays = arrays_of(clip, frame)

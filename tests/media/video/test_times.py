@@ -34,7 +34,7 @@ def test_a_pause_is_kept_in_avi(tmp_path):
     source = clips.make(tmp_path / "a.mp4", times=times)
     copy(source, tmp_path / "b.avi")
     with open_video(tmp_path / "b.avi") as clip:
-        clip.passage = types.SimpleNamespace(indices=[], take=None)
+        clip.passage = types.SimpleNamespace(streams=[], take=None)
         assert [clip.time(k)[0] * clip.base for k, _ in enumerate(clip.frames())] == [Fraction(t, 25) for t in times]
 
 

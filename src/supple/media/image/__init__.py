@@ -40,6 +40,12 @@ if TYPE_CHECKING:
 
 
 _BESIDE = {"exif-data": "EXIF", "xmp-data": "XMP", "iptc-data": "IPTC"}
+_SEVERAL = {
+    "TIFF": "pages, and only one is read: all are kept if they are of one size and type, and the output is a TIFF",
+    **dict.fromkeys(("PNG", "GIF", "WebP"), "frames, and only the first is read: name an animation or a video, "
+                    "out.webp or out.mp4, to keep them all"),
+}  # fmt: skip
+"""What is said of files of several pages or frames, by their format."""
 
 
 class ImageWarning(UserWarning):
@@ -217,7 +223,8 @@ def read(path: PathLike, *, pages: bool = False, whole: bool = False) -> Picture
     count, orientation, bits = facts(image)
     tall = _all_pages(path, count) if pages and count > 1 and form == "TIFF" else None
     if count > 1 and tall is None:
-        warnings.warn(f"{name} holds {count} {_pages(form)}", PageWarning, stacklevel=2)
+        what = _SEVERAL.get(form, "pages or frames, and only one of them is read")
+        warnings.warn(f"{name} holds {count} {what}", PageWarning, stacklevel=2)
     with reading(path):
         pixels = tall if tall is not None else _decoded(path, image, form, orientation)
         header, lost = collected(path, image, form, orientation >= 5)
@@ -295,15 +302,6 @@ def _all_pages(path: PathLike, count: int) -> formats.Array | None:
                 return None
             rows[:] = pixels
     return tall
-
-
-def _pages(form: str) -> str:
-    """Return advice on a file of several pages or frames, of which one is read."""
-    if form in ("PNG", "GIF", "WebP"):
-        return "frames, and only the first is read: name an animation or a video, out.webp or out.mp4, to keep them all"
-    if form == "TIFF":
-        return "pages, and only one is read: all are kept if they are of one size and type, and the output is a TIFF"
-    return "pages or frames, and only one of them is read"
 
 
 def info(path: PathLike) -> dict[str, object]:
@@ -465,7 +463,7 @@ def write(
         kind = form.pixel_formats[array.dtype.str[1:]][channels]
         if film:
             array, kind = array >> (16 - bits), f"gbrp{bits}be"
-        if dpx.is_little(head):
+        if dpx.order_of(head) == "<":
             kind = re.sub("be$", "le", kind)
         with replacing(path, force=force) as temporary, ffmpeg.writing(path):
             data = ffmpeg.encoded(array, form.saver, kind, form.options)

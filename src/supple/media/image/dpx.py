@@ -17,20 +17,16 @@ def header_of(path: PathLike) -> bytes:
         head = file.read(SIZE)
     if len(head) < SIZE:
         raise unreadable(path, "it is cut short")
-    (count,) = struct.unpack_from(f"{_order(head)}H", head, 770)
+    (count,) = struct.unpack_from(f"{order_of(head)}H", head, 770)
     if count != 1 or head[800] not in _RGB:
         kind = f"{count} image elements" if count != 1 else f"samples of kind {head[800]}"
         raise unreadable(path, f"a DPX with {kind} is not supported", "write it as one of RGB, RGBA or grey")
     return head
 
 
-def is_little(head: bytes) -> bool:
-    """Return whether a file with this header is in little-endian order."""
-    return head[:4] == b"XPDS"
-
-
-def _order(head: bytes) -> str:
-    return "<" if is_little(head) else ">"
+def order_of(head: bytes) -> str:
+    """Return the byte order of a file with this header, as in `struct`."""
+    return "<" if head[:4] == b"XPDS" else ">"
 
 
 def dressed(data: bytes, head: bytes, path: PathLike) -> bytes:
@@ -42,7 +38,7 @@ def dressed(data: bytes, head: bytes, path: PathLike) -> bytes:
     """
     if not head:
         return data[:801] + bytes(2) + data[803:]
-    order, own = _order(head), _order(data)
+    order, own = order_of(head), order_of(data)
     made = bytearray(head)
     fields = [(770, "HIII"), (804, "HHIII"), *([(784, "IfIf")] if head[803] != data[803] else [])]
     for at, form in fields:

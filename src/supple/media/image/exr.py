@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from supple.errors import listing, need
+from supple.errors import listing, needed
 from supple.media.files import PathLike, head_of, unreadable, unwritable
 from supple.media.image.formats import Array, Box, bounds, damaged
 from supple.media.pictures import EXR_MAGIC
@@ -155,32 +155,19 @@ def _over(array: Array, box: Box, target: Box) -> Array:
 
 def imported() -> Any:
     """Return the module OpenEXR, imported at the first use."""
-    need("exr", "OpenEXR pictures and maps", "OpenEXR")
-    import OpenEXR
-
-    return OpenEXR
+    return needed("exr", "OpenEXR pictures and maps", "OpenEXR")
 
 
 @contextlib.contextmanager
 def opened(path: PathLike, *, header_only: bool = False) -> Iterator[Any]:
-    """Open an OpenEXR, with separate channels; SuppleError for deep data and subsampled channels."""
-    if not head_of(path, 4).startswith(EXR_MAGIC):
-        raise unreadable(path, "it does not begin as an EXR does", "give the name of an EXR")
-    with _file(path, header_only) as file:
-        for part in file.parts:
-            if part.header["type"] in (imported().deepscanline, imported().deeptile):
-                raise unreadable(path, "it is a deep EXR, several samples for a pixel", "flatten it first")
-            for each in part.header["channels"]:
-                if (each.xSampling, each.ySampling) != (1, 1):
-                    what = f"its channel {each.name} has a sample for every {each.xSampling} x {each.ySampling} pixels"
-                    raise unreadable(path, what, "write it with all channels at full resolution, as RGB")
-        yield file
+    """Open an OpenEXR, with separate channels; SuppleError for deep data and subsampled channels.
 
-
-def _file(path: PathLike, header_only: bool) -> Any:
-    """Open an OpenEXR; messages that the package prints about damaged files are suppressed."""
+    Messages that the package prints about damaged files are suppressed.
+    """
     from supple.media.volume.itk import silence
 
+    if not head_of(path, 4).startswith(EXR_MAGIC):
+        raise unreadable(path, "it does not begin as an EXR does", "give the name of an EXR")
     module, said = imported(), io.StringIO()
     try:
         # printed to both streams; the output of other threads is passed on
@@ -193,7 +180,15 @@ def _file(path: PathLike, header_only: bool) -> Any:
             sys.stdout.write(rest)
     if not file.parts:
         raise damaged(path, said.getvalue().strip().rpartition(" - ")[2] or "it has no parts")
-    return file
+    with file:
+        for part in file.parts:
+            if part.header["type"] in (module.deepscanline, module.deeptile):
+                raise unreadable(path, "it is a deep EXR, several samples for a pixel", "flatten it first")
+            for each in part.header["channels"]:
+                if (each.xSampling, each.ySampling) != (1, 1):
+                    what = f"its channel {each.name} has a sample for every {each.xSampling} x {each.ySampling} pixels"
+                    raise unreadable(path, what, "write it with all channels at full resolution, as RGB")
+        yield file
 
 
 def _box(window: Any) -> Box:
@@ -248,12 +243,8 @@ def _grouped(
     path: PathLike, channels: list[Channel], headers: Sequence[Mapping[str, Any]]
 ) -> tuple[tuple[bool, tuple[Channel, ...]], ...]:
     """Return three groups: the picture's own channels, others that are filtered, and exact ones."""
-    mattes = tuple(
-        value
-        for header in headers
-        for key, value in header.items()
-        if key.startswith("cryptomatte/") and key.endswith("/name") and isinstance(value, str)
-    )
+    named = (pair for header in headers for pair in header.items() if re.fullmatch("cryptomatte/(.*/)?name", pair[0]))
+    mattes = tuple(value for _, value in named if isinstance(value, str))
     vectors = {(c.part, _layer(c)[0]) for c in channels if _layer(c)[1].lower() in ("x", "z")}
 
     def is_exact(channel: Channel) -> bool:

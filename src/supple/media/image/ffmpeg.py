@@ -31,7 +31,9 @@ def decoded(path: PathLike, codec: str) -> tuple[Array, int]:
         raise av.error.InvalidDataError(0, "no picture in it")
     frame: av.VideoFrame = frames[0]
     if frame.format.has_palette:
-        return _least(palette(frame)), 8
+        seen = palette(frame)
+        count = 4 if (seen[..., 3] < 255).any() else 3 if (seen[..., :1] != seen[..., 1:3]).any() else 1
+        return np.ascontiguousarray(seen[..., :count] if count > 1 else seen[..., 0]), 8
     own = form(frame.format.name)
     if own is None:
         frame = frame.reformat(format=wider(frame.format.name))
@@ -50,14 +52,6 @@ def decoded(path: PathLike, codec: str) -> tuple[Array, int]:
     if not kind.real and 8 < kind.bits < 16:
         pixels = pixels << (16 - kind.bits) | pixels >> (2 * kind.bits - 16)
     return pixels, kind.bits
-
-
-def _least(pixels: Array) -> Array:
-    """Drop opacity if all pixels are opaque, and colours if all are grey."""
-    if (pixels[..., 3] == 255).all():
-        grey = (pixels[..., :1] == pixels[..., 1:3]).all()
-        pixels = pixels[..., 0] if grey else pixels[..., :3]
-    return np.ascontiguousarray(pixels)
 
 
 def encoded(pixels: Array, codec: str, pixel_format: str, options: Mapping[str, str] | None = None) -> bytes:

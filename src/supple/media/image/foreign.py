@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pyvips
 
-from supple.errors import need
+from supple.errors import need, said
 from supple.media.files import PathLike, refusing, unreadable
 from supple.media.image import exif
 from supple.media.image.formats import Array, of_pixels
@@ -36,17 +36,15 @@ def opened(path: PathLike, kind: str) -> Any:
     }[kind]  # fmt: skip
     need("formats", f"{kind} pictures", module)
     # Exception, as these libraries raise many types
-    with refusing(lambda error: unreadable(path, f"{module} fails on it ({_line(error)})", _GIVE), Exception):
+    with refusing(
+        lambda error: unreadable(path, f"{module} fails on it ({said(error).rstrip('.')})", _GIVE), Exception
+    ):
         pixels, bits, meaning, alpha, known = decode(path)
     image = of_pixels(pixels, bits, alpha, meaning)
     for name, value in known.items():
         if value:
             image.set_type(pyvips.GValue.blob_type, name, value)
     return image
-
-
-def _line(error: Exception) -> str:
-    return (str(error) or type(error).__name__).splitlines()[0].rstrip(".")
 
 
 def _heif(path: PathLike) -> tuple[Array, int, str, bool, dict[str, Any]]:

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import contextlib
-import os
 import re
 import struct
 from collections.abc import Mapping
 from functools import lru_cache
-from typing import Any, BinaryIO
+from typing import Any
 
 import numpy as np
 import pyvips
@@ -108,12 +107,16 @@ def collected(path: PathLike, image: Any, form: str, turned: bool) -> tuple[dict
         del header["image-description"]
     if "xmp-data" in header:  # it may repeat the orientation
         pattern = rb"(tiff:Orientation(?:=[\"']|>)\s*)[2-8]"
-        header["xmp-data"] = _without_pictures(re.sub(pattern, rb"\g<1>1", header["xmp-data"]))
+        header["xmp-data"] = re.sub(pattern, rb"\g<1>1", header["xmp-data"])
+        for picture in _IN_XMP:
+            header["xmp-data"] = re.sub(picture, b"", header["xmp-data"])
     for name in [name for name in header if "-Raw profile type " in name]:  # in hexadecimal digits
         if "ffd8ff" in "".join(header[name].lower().split()):
             del header[name]
     sizes = (image.yres, image.xres) if turned else (image.xres, image.yres)
-    if min(sizes) > 0 and sizes != (1, 1) and _tells_size(path, image, form):  # libvips' code for unknown
+    # libvips invents a resolution for JPEG and PNG, and a unit for TIFF; (1, 1) is its code for unknown
+    stored = image.get_typeof("resolution-unit") or form not in ("JPEG", "PNG", "TIFF")
+    if min(sizes) > 0 and sizes != (1, 1) and (stored or (form == "PNG" and _chunk(path, b"pHYs")[1])):
         header["resolution"] = sizes
     lost = []
     if form == "TIFF":
@@ -150,40 +153,23 @@ def _blanked(data: bytes) -> bytes:
     return bytes(made)
 
 
-def _without_pictures(xmp: bytes) -> bytes:
-    """Return XMP without embedded pictures, and without references to other pictures in the file."""
-    for pattern in _IN_XMP:
-        xmp = re.sub(pattern, b"", xmp)
-    return xmp
-
-
 # Kept: libvips reports neither the frames of a PNG nor whether its resolution is stored (test_nothing_is_invented).
-def _chunk(file: BinaryIO, name: bytes) -> bytes:
-    """Seek to the data of a chunk before the pixels of a PNG; return the 4 bytes of its length, or none if missing."""
-    at, kind = 8, b""
-    while kind not in (name, b"IDAT"):
-        file.seek(at)
-        head = file.read(8)
-        if len(head) < 8:
-            return b""
-        at, kind = at + 12 + int.from_bytes(head[:4]), head[4:]
-    return head[:4] if kind == name else b""
+def _chunk(path: PathLike, name: bytes) -> tuple[int, bytes]:
+    """Return the place and the data of a chunk before the pixels of a PNG; no data if it is missing."""
+    at, head = 8, b""
+    with open(path, "rb") as file:
+        while head[4:] not in (name, b"IDAT"):
+            at += 12 + int.from_bytes(head[:4]) if head else 0
+            file.seek(at)
+            head = file.read(8)
+            if len(head) < 8:
+                return at, b""
+        return at, file.read(int.from_bytes(head[:4])) if head[4:] == name else b""
 
 
 def png_frames(path: PathLike) -> int:
     """Return the number of frames of a PNG; 1 if it is not animated."""
-    with open(path, "rb") as file:
-        return int.from_bytes(file.read(4)) if _chunk(file, b"acTL") else 1
-
-
-def _tells_size(path: PathLike, image: Any, form: str) -> bool:
-    """Return whether a resolution is stored in the file: libvips invents one for JPEG and PNG, and a unit for TIFF."""
-    if image.get_typeof("resolution-unit") or form not in ("JPEG", "PNG", "TIFF"):
-        return True
-    if form != "PNG":
-        return False
-    with open(path, "rb") as file:
-        return bool(_chunk(file, b"pHYs"))
+    return int.from_bytes(_chunk(path, b"acTL")[1][:4]) or 1
 
 
 def dressed(
@@ -232,10 +218,10 @@ def finish(path: PathLike, image: Any, form: Format, sized: bool) -> None:
             file.seek(2)
             file.write(_jfif(image.xres, image.yres) + data[2:])
     elif form is PNG and not sized:
-        with open(path, "rb+") as file:
-            if _chunk(file, b"pHYs"):
-                start = file.tell() - 8
-                file.seek(13, os.SEEK_CUR)  # behind its 9 bytes and their checksum
+        start, data = _chunk(path, b"pHYs")
+        if data:
+            with open(path, "rb+") as file:
+                file.seek(start + 12 + len(data))  # behind its checksum
                 rest = file.read()
                 file.seek(start)
                 file.write(rest)

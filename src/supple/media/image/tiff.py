@@ -12,7 +12,7 @@ from typing import Any, NoReturn
 
 import numpy as np
 
-from supple.errors import need, said
+from supple.errors import needed, said
 from supple.media.files import PathLike, refusing, unreadable
 from supple.media.image.exif import Folder, Reader, Value, into_tiff
 from supple.media.image.formats import Array, damaged
@@ -240,9 +240,7 @@ class Page:
         raise unreadable(self._path, what, "convert it, to PNG for instance")
 
     def _by_tifffile(self) -> Array:
-        need("volume", "TIFFs of planes, of odd depths or of 64 bits", "tifffile")
-        import tifffile
-
+        tifffile = needed("volume", "TIFFs of planes, of odd depths or of 64 bits", "tifffile")
         with refusing(lambda error: damaged(self._path, said(error)), Exception), tifffile.TiffFile(self._path) as file:
             page = file.pages[self._number]
             pixels = np.asarray(page.asarray())

@@ -12,15 +12,15 @@ import re
 import zlib
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from importlib import import_module
 from itertools import islice
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from supple.errors import said
+from supple.errors import said, shown
 from supple.media.files import PathLike, head_of, refusing, unreadable
 from supple.media.volume import Volume
 from supple.space.checks import LARGEST
@@ -49,55 +49,89 @@ class Part:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Mesh:
-    """The vertices, normals, faces and lines of a mesh."""
+class PointFile:
+    """Points, and a function that writes others into a copy of their file.
 
-    points: Floats  # the vertices, shape (N, 3), in the order of the file
-    convention: str  # "LPS" or "RAS" if it is in the file, as 3D Slicer writes it; otherwise empty
-    rewritten: Callable[[Floats, Floats], bytes]  # returns the file with other points (N, 3) and normals (M, 3)
-    parts: Callable[[], list[Part]]  # returns faces and lines, which are read on this call
-    normals: Floats = field(default_factory=lambda: np.zeros((0, 3)))  # at vertices, not of facets; shape (M, 3)
-    at: Ints = field(default_factory=lambda: np.zeros(0, np.intp))  # the vertex of each normal
+    Parameters
+    ----------
+    points : float64 array, shape (N, 2) or (N, 3)
+        x first, in the order of the file; of a mesh, its vertices.
+    convention : str
+        ``"LPS"`` or ``"RAS"``, in millimetres; or ``"index"``, in pixels, frames or voxels from 0: the default for a
+        table; or, from a reader of meshes, empty if the file does not say it.
+    rewritten : callable
+        Returns the file with other points and normals, and, of a table, with notes, (column name, its numbers).
+    faces : callable
+        Returns the parts of a mesh, which are read on this call.
+    normals : float64 array, shape (M, 3)
+        Normals at vertices of a mesh, not of facets, in the convention of its points.
+    normals_at : int array, shape (M,)
+        The point of each normal.
+    labels : tuple of str
+        One for each point; may be empty.
+    name : str
+        The name for messages.
+    kind : str
+        ``"CSV"``, ``"fcsv"`` or ``"JSON"``; or, of a mesh, one of the `KINDS`.
+    told : str
+        The source of the convention: ``"said"`` (the file), ``"mm"`` or ``"names"`` (columns x, y and z, with that unit
+        or without one), or ``""``.
+    """
+
+    points: Floats
+    convention: str
+    rewritten: Callable[..., bytes] = field(repr=False)
+    faces: Callable[[], list[Part]] = field(default=list, repr=False)
+    normals: Floats = field(default_factory=lambda: np.zeros((0, 3)))
+    normals_at: Ints = field(default_factory=lambda: np.zeros(0, np.intp))
+    labels: tuple[str, ...] = ()
+    name: str = ""
+    kind: str = ""
+    told: str = "said"
+
+    def parts(self) -> list[Part]:
+        """Return the triangles and lines of a mesh; SuppleError if it has none, or they are damaged."""
+        with parsing(self.name), np.errstate(invalid="raise"):  # numbers that no integer holds
+            made = self.faces()
+        if not any(len(part.triangles) + len(part.lines) for part in made):
+            raise unreadable(self.name, "it has no faces, lines or contours", "give a mesh")
+        return made
 
 
-@dataclass(frozen=True, slots=True)
-class Numbers:
-    """Numbers in a file, as rows (N, K) of float64, and their location: spans of text, or the offset of binary rows."""
+class Numbers(NamedTuple):
+    """Numbers in a file, as rows (N, K) of float64, the offset after them, and what replaces them by others."""
 
     values: Floats
-    spans: Spans = ()
-    start: int = 0
-    rows: npt.NDArray[Any] | None = None
-    columns: Sequence[str] = ()
-
-    @property
-    def end(self) -> int:
-        """The offset after the last number."""
-        if self.rows is not None:
-            return self.start + self.rows.nbytes
-        return self.spans[-1][1] if len(self.spans) else self.start
-
-    def edits(self, new: Floats) -> list[Edit]:
-        """Return the edits that replace the numbers by ``new``; in text, only those that have changed."""
-        if self.rows is None:
-            old, after = self.values.ravel(), new.ravel()
-            return [(*self.spans[k], repr(float(after[k])).encode()) for k in np.flatnonzero(old != after).tolist()]
-        made = self.rows.copy()
-        for name, part in zip(self.columns, np.split(new, len(self.columns), axis=1), strict=True):
-            made[name] = part.reshape(made[name].shape)
-        return [(self.start, self.end, made.tobytes())]
+    end: int
+    edits: Callable[[Floats], list[Edit]]
 
 
 def in_text(data: bytes, spans: Spans, width: int, start: int = 0) -> Numbers:
-    """Return the numbers at spans of text, in rows of ``width``; ValueError for text that is not a number."""
-    return Numbers(np.array([float(data[a:b]) for a, b in spans]).reshape(-1, width), spans, start)
+    """Return the numbers at spans of text, in rows of ``width``; ValueError for text that is not a number.
+
+    Only those that have changed are replaced.
+    """
+    values = np.array([float(data[a:b]) for a, b in spans]).reshape(-1, width)
+
+    def edits(new: Floats) -> list[Edit]:
+        old, after = values.ravel(), new.ravel()
+        return [(*spans[k], repr(float(after[k])).encode()) for k in np.flatnonzero(old != after).tolist()]
+
+    return Numbers(values, spans[-1][1] if len(spans) else start, edits)
 
 
 def in_rows(data: bytes, start: int, count: int, fields: Sequence[Any], columns: Sequence[str]) -> Numbers:
     """Return columns, all of one width, of ``count`` binary rows with these fields; ValueError if they end early."""
     rows = np.frombuffer(data, np.dtype(list(fields)), count, start)
-    values = np.hstack([np.atleast_2d(rows[name].T).T for name in columns]).astype(np.float64)
-    return Numbers(values, start=start, rows=rows, columns=columns)
+    values, end = np.hstack([np.atleast_2d(rows[name].T).T for name in columns]), start + rows.nbytes
+
+    def edits(new: Floats) -> list[Edit]:
+        made = rows.copy()
+        for name, part in zip(columns, np.split(new, len(columns), axis=1), strict=True):
+            made[name] = part.reshape(made[name].shape)
+        return [(start, end, made.tobytes())]
+
+    return Numbers(values.astype(np.float64), end, edits)
 
 
 def tokens(data: bytes, start: int, count: int) -> Spans:
@@ -176,16 +210,21 @@ def _steps(count: int, runs: Runs, less: int) -> tuple[Ints, Ints, Ints]:
 
 def parsing(path: PathLike) -> AbstractContextManager[None]:
     """Convert errors about damaged files to one sentence."""
-    kinds = ValueError, OverflowError, LookupError, zlib.error, lzma.LZMAError
+    kinds = ValueError, ArithmeticError, LookupError, zlib.error, lzma.LZMAError
     return refusing(lambda error: unreadable(path, f"it is damaged or cut short ({said(error)})"), *kinds)
 
 
-def read_mesh(path: PathLike, kind: str, series: Volume | None = None) -> Mesh:
+def read_mesh(path: PathLike, kind: str, series: Volume | None = None) -> PointFile:
     """Read a file of one of the `KINDS`; SuppleError if it cannot be read, is damaged, or is of another kind.
 
     With a DICOM ``series``, a structure set that is written refers to it.
     """
-    parsed: Callable[..., Mesh] = import_module(f"supple.media.meshes.{kind.lower()}").parsed
+    parsed: Callable[..., PointFile] = import_module(f"supple.media.meshes.{kind.lower()}").parsed
     data = head_of(path, -1, "give a file of a mesh")
     with parsing(path):
-        return parsed(path, data, **({} if series is None else {"series": series}))
+        made = parsed(path, data, **({} if series is None else {"series": series}))
+    said = made.convention
+    return replace(
+        made, convention=said or "index", labels=("",) * len(made.points), name=shown(path), kind=kind,
+        told="said" if said else "mesh",
+    )  # fmt: skip

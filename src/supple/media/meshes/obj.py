@@ -9,7 +9,7 @@ import numpy as np
 
 from supple.errors import SuppleError
 from supple.media.files import PathLike, unreadable
-from supple.media.meshes import TOKEN, Floats, Mesh, Part, checked, edited, in_text, joined, part_of, space_of
+from supple.media.meshes import TOKEN, Floats, Part, PointFile, checked, edited, in_text, joined, part_of, space_of
 
 # A line with its continuation lines, without a comment at its end.
 _STATEMENT = re.compile(rb"((?:[^\r\n#\\]+|\\(?:\r\n?|\n)?)*)(?:#[^\r\n]*)?(?:\r\n?|\n|\Z)")
@@ -18,7 +18,7 @@ _WORD = re.compile(rb"[ \t]*(v|vn|f|l|p|curv|curv2|surf|cstype)[ \t]")
 _ZERO = re.compile(rb"[\s/]0+(?![^\s/])")
 
 
-def parsed(path: PathLike, data: bytes) -> Mesh:
+def parsed(path: PathLike, data: bytes) -> PointFile:
     """Return the vertices of an OBJ file, and its normals, once for each vertex at which a face uses them."""
     spans: dict[bytes, list[tuple[int, int]]] = {b"v": [], b"vn": []}
     pairs: dict[tuple[int, int], None] = {}
@@ -57,7 +57,7 @@ def parsed(path: PathLike, data: bytes) -> Mesh:
 
     comments = re.match(rb"(?:\s*#[^\n]*\n)*", data)
     said = space_of(comments[0] if comments else b"")
-    return Mesh(points, said, rewritten, lambda: _parts(data, len(points)), normals[which], at)
+    return PointFile(points, said, rewritten, lambda: _parts(data, len(points)), normals[which], at)
 
 
 def _statements(data: bytes) -> Iterator[tuple[int, bytes]]:

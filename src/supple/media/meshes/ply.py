@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 from dataclasses import dataclass
 from typing import Any
@@ -18,7 +19,7 @@ _TYPES = {
 }  # fmt: skip
 _ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 _HEADER = re.compile(rb"ply\s*\n.*?\n\s*end_header[ \t]*\r?\n", re.DOTALL)
-_INDICES = ("vertex_indices", "vertex_index", "vertex1", "vertex2")
+_LINE = re.compile(rb"[^\r\n]*\S[^\r\n]*")
 _PLACE, _NORMAL = ["x", "y", "z"], ["nx", "ny", "nz"]
 
 
@@ -34,7 +35,7 @@ class _Element:
         return {name: "list" if length else kind for name, kind, length in self.properties}
 
 
-def parsed(path: PathLike, data: bytes) -> meshes.Mesh:
+def parsed(path: PathLike, data: bytes) -> meshes.PointFile:
     """Return the vertices of a PLY file, and their normals if it has the properties nx, ny and nz."""
     header = _HEADER.match(data)
     if header is None:
@@ -74,7 +75,7 @@ def parsed(path: PathLike, data: bytes) -> meshes.Mesh:
         lines = (np.stack(ends, axis=1), np.full(len(ends[0]), 2)) if len(ends) == 2 else meshes.NO_RUNS
         return [meshes.part_of(len(points), polygons, lines)]
 
-    return meshes.Mesh(
+    return meshes.PointFile(
         points, meshes.space_of(header[0]), rewritten, parts, normals, np.arange(len(normals), dtype=np.intp)
     )
 
@@ -106,63 +107,54 @@ def _text(
     path: PathLike, data: bytes, start: int, skipped: int, vertex: _Element, columns: list[str]
 ) -> tuple[meshes.Numbers, int]:
     """Return columns of the vertices, which follow ``skipped`` rows of other elements, and the offset of their end."""
-    places, spans, rows = [list(vertex.kinds).index(name) for name in columns], [], 0
-    for line in data[start:].splitlines(keepends=True):
-        if rows == skipped + vertex.count:
-            break
-        words = [match.span() for match in meshes.TOKEN.finditer(line)]
-        rows += bool(words)
-        if words and rows > skipped:
-            if len(words) != len(vertex.properties):
-                found = f"vertex {rows - skipped} has {len(words)} numbers"
-                raise unreadable(path, found, f"its header says {len(vertex.properties)}")
-            spans += [(start + words[k][0], start + words[k][1]) for k in places]
-        start += len(line)
-    if rows < skipped + vertex.count:
+    places, count = [list(vertex.kinds).index(name) for name in columns], skipped + vertex.count
+    spans, rows = list[tuple[int, int]](), list(itertools.islice(_LINE.finditer(data, start), count))
+    if len(rows) < count:
         raise unreadable(path, f"it ends before its {vertex.count} vertices do")
-    return meshes.in_text(data, spans, len(columns)), start
+    for k, row in enumerate(rows[skipped:], 1):
+        words = [match.span() for match in meshes.TOKEN.finditer(data, *row.span())]
+        if len(words) != len(vertex.properties):
+            raise unreadable(path, f"vertex {k} has {len(words)} numbers", f"its header says {len(vertex.properties)}")
+        spans += [words[place] for place in places]
+    return meshes.in_text(data, spans, len(columns)), rows[-1].end() if rows else start
 
 
 class _Rest:
-    """A reader of the elements after the vertices, in order."""
+    """A reader of the elements after the vertices, in order; those in text are read as if they were binary doubles."""
 
     def __init__(self, data: bytes, order: str) -> None:
-        self.order, self.at = order, 0
-        self.held: Any = data if order else data.split()
+        self.text, self.order, self.at = not order, order, 0
+        self.data = data if order else np.array(data.split()).astype(np.float64).tobytes()
 
     def element(self, known: _Element) -> dict[str, meshes.Runs]:
         """Read an element; return, for each property, its values and their number in each row."""
-        if self.order and known.count and (found := self._alike(known)) is not None:
-            return found
-        rows: dict[str, list[list[int]]] = {name: [] for name, *_ in known.properties}
-        for _ in range(known.count):
-            for name, kind, length in known.properties:
-                rows[name].append(self._taken(name, self._taken("", 1, length)[0] if length else 1, kind))
-        return {name: meshes.joined(each) for name, each in rows.items()}
-
-    def _alike(self, known: _Element) -> dict[str, meshes.Runs] | None:
-        """Read binary rows at once, if all their lists have the length of the first row's, as is usual; else None."""
-        start, fields, sizes = self.at, [], {}
+        if self.text:
+            doubles = [(name, "f8", "f8" if length else "") for name, _, length in known.properties]
+            known = _Element(known.name, known.count, doubles)
+        if not known.count:
+            return {name: meshes.NO_RUNS for name, *_ in known.properties}
+        start, first = self.at, self._row(known)
+        fields: list[Any] = []
         for name, kind, length in known.properties:
-            sizes[name] = int(self._taken("", 1, length)[0]) if length else 1
-            self._taken(name, sizes[name], kind)
             fields += [(f"#{name}", self.order + length)] if length else []
-            fields.append((name, self.order + kind, *([sizes[name]] if length else [])))  # type: ignore[arg-type]
-        self.at = start
+            fields.append((name, self.order + kind, *([len(first[name])] if length else [])))
         rows = np.dtype(fields)
-        if start + known.count * rows.itemsize > len(self.held):
-            return None
-        found = np.frombuffer(self.held, rows, known.count, start)
-        if not all((found[f"#{name}"] == sizes[name]).all() for name, _, length in known.properties if length):
-            return None
-        self.at += found.nbytes
-        return {name: (found[name], np.full(known.count, sizes[name])) for name, *_ in known.properties}
+        if start + known.count * rows.itemsize <= len(self.data):  # at once, if all lists are as long as the first ones
+            found = np.frombuffer(self.data, rows, known.count, start)
+            if all((found[f"#{name}"] == len(first[name])).all() for name, _, length in known.properties if length):
+                self.at = start + found.nbytes
+                return {name: (found[name], np.full(known.count, len(each))) for name, each in first.items()}
+        each = [first, *(self._row(known) for _ in range(known.count - 1))]
+        return {name: meshes.joined([row[name] for row in each]) for name in first}
 
-    def _taken(self, name: str, many: int, kind: str) -> list[Any]:
-        """Read values of a property, or a list's length (no ``name``); in text, values that are not indices are []."""
-        start, self.at = self.at, self.at + many * (np.dtype(kind).itemsize if self.order else 1)
-        if many < 0 or self.at > len(self.held):
-            raise ValueError("it ends before its faces do")
-        if self.order:
-            return list(np.frombuffer(self.held, self.order + kind, many, start).tolist())
-        return [int(word) for word in self.held[start : self.at]] if not name or name in _INDICES else []
+    def _row(self, known: _Element) -> dict[str, list[Any]]:
+        """Read the values of each property in a row; ValueError if they end early."""
+
+        def taken(many: int, kind: str) -> list[Any]:
+            if many < 0:
+                raise ValueError("a list has less than no values")
+            found = np.frombuffer(self.data, self.order + kind, many, self.at)
+            self.at += found.nbytes
+            return list(found.tolist())
+
+        return {name: taken(int(taken(1, length)[0]) if length else 1, kind) for name, kind, length in known.properties}

@@ -6,7 +6,6 @@ The attributes are those of DICOM PS3.3, C.8.8.5 (Structure Set) and C.8.8.6 (RO
 from __future__ import annotations
 
 import copy
-import datetime
 import io
 import warnings
 from typing import Any
@@ -15,9 +14,9 @@ import numpy as np
 
 from supple.errors import SuppleError, VolumeWarning, said, shown
 from supple.media.files import PathLike, unreadable
-from supple.media.meshes import Floats, Mesh, Part, checked, joined, part_of
+from supple.media.meshes import Floats, Part, PointFile, checked, joined, part_of
 from supple.media.volume import Volume
-from supple.media.volume.derived import WARNING, ended, new_uid, reference_to, series_number
+from supple.media.volume.derived import WARNING, new_uid, reference_to, renewed
 from supple.media.volume.frames import dataset, frames_of, head_of, imported, without
 
 _STRUCTURES = "1.2.840.10008.5.1.4.1.1.481.3"
@@ -35,7 +34,7 @@ _STALE_SET = (
 )  # fmt: skip
 
 
-def parsed(path: PathLike, data: bytes, series: Volume | None = None) -> Mesh:
+def parsed(path: PathLike, data: bytes, series: Volume | None = None) -> PointFile:
     """Return the points of all contours of a structure set, in LPS.
 
     With a DICOM ``series``, the written structure set refers to it, and each contour to its nearest slice.
@@ -81,7 +80,7 @@ def parsed(path: PathLike, data: bytes, series: Volume | None = None) -> Mesh:
             raise SuppleError(f"{told}: mend that file") from error
         return held.getvalue()
 
-    return Mesh(points, "LPS", rewritten, lambda: _parts(read, len(points)))
+    return PointFile(points, "LPS", rewritten, lambda: _parts(read, len(points)))
 
 
 def _is_whole(raw: Any) -> bool:
@@ -141,19 +140,12 @@ def _move(contour: Any, new: Floats, old: Floats) -> float:
 
 def _renew(made: Any) -> None:
     """Give a structure set new UIDs, with the source as its predecessor."""
-    source = reference_to(made)
-    made.remove_private_tags()
+    made.PredecessorStructureSetSequence = [renewed(made, new_uid())]
     regions = made.get("StructureSetROISequence") or []
     for part in (made, *regions, *(made.get("ReferencedFrameOfReferenceSequence") or [])):
         without(part, _STALE_SET)
-    now = datetime.datetime.now()
-    made.PredecessorStructureSetSequence = [source]
-    made.SOPInstanceUID, made.SeriesInstanceUID = new_uid(), new_uid()
-    made.SeriesNumber = series_number(made)
-    made.SeriesDescription = ended(str(made.get("SeriesDescription") or ""), f"bent, {WARNING}")
     made.StructureSetDescription = f"Bent by Supple, a non-rigid deformation. {WARNING}"
-    made.StructureSetDate = made.InstanceCreationDate = now.strftime("%Y%m%d")
-    made.StructureSetTime = made.InstanceCreationTime = now.strftime("%H%M%S")
+    made.StructureSetDate, made.StructureSetTime = made.InstanceCreationDate, made.InstanceCreationTime
     if "ApprovalStatus" in made:
         made.ApprovalStatus = "UNAPPROVED"
     made.file_meta.MediaStorageSOPInstanceUID = made.SOPInstanceUID

@@ -7,7 +7,7 @@ import re
 import numpy as np
 
 from supple.media.files import PathLike, unreadable
-from supple.media.meshes import Floats, Mesh, checked, edited, in_rows, in_text, part_of, space_of
+from supple.media.meshes import Floats, PointFile, checked, edited, in_rows, in_text, part_of, space_of
 
 _FACET = [("numbers", "<f4", 12), ("attribute", "<u2")]  # a normal and three vertices
 _HEAD = 84
@@ -15,12 +15,13 @@ _NUMBER = rb"[-+.\w]+"
 _TRIPLE = re.compile(rb"\b(normal|vertex)[ \t]+(%b)[ \t]+(%b)[ \t]+(%b)" % ((_NUMBER,) * 3), re.IGNORECASE)
 
 
-def parsed(path: PathLike, data: bytes) -> Mesh:
+def parsed(path: PathLike, data: bytes) -> PointFile:
     """Return the distinct vertices of an STL file."""
     count = int.from_bytes(data[80:_HEAD], "little")
     size = _HEAD + count * np.dtype(_FACET).itemsize
     text = data.lstrip()[:5].lower() == b"solid"
-    if len(data) >= _HEAD and (len(data) == size or (len(data) > size and not text)):
+    binary = len(data) >= _HEAD and (len(data) == size or (len(data) > size and not text))
+    if binary:
         facets, head = in_rows(data, _HEAD, count, _FACET, ["numbers"]), data[:80]
     elif text:
         found = list(_TRIPLE.finditer(data))
@@ -38,7 +39,6 @@ def parsed(path: PathLike, data: bytes) -> Mesh:
 
     def rewritten(moved: Floats, _: Floats) -> bytes:
         made = before.copy()
-        binary = facets.rows is not None  # then float32
         made[:, 3:] = (moved.astype(np.float32) if binary else moved)[which].reshape(-1, 9)
         turned = (made != before).any(axis=1)
         first, second, third = np.split(made[turned, 3:], 3, axis=1)
@@ -48,7 +48,7 @@ def parsed(path: PathLike, data: bytes) -> Mesh:
         return edited(data, facets.edits(made))
 
     runs = which, np.full(len(which) // 3, 3)
-    return Mesh(points, space_of(head), rewritten, lambda: [part_of(len(points), runs)])
+    return PointFile(points, space_of(head), rewritten, lambda: [part_of(len(points), runs)])
 
 
 def _distinct(corners: Floats) -> tuple[Floats, np.typing.NDArray[np.intp]]:

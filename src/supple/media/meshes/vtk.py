@@ -22,7 +22,7 @@ _OFFSETS = re.compile(rb"\s*(?:OFFSETS|CONNECTIVITY)\s+(\w+)[ \t]*\r?\n")  # fro
 _KINDS = {b"float": ">f4", b"double": ">f8", b"vtktypeint64": ">i8", b"vtktypeint32": ">i4", b"int": ">i4"}
 
 
-def parsed(path: PathLike, data: bytes) -> meshes.Mesh:
+def parsed(path: PathLike, data: bytes) -> meshes.PointFile:
     """Return the points of PolyData, and their active normals."""
     head = _HEAD.match(data)
     if head is None:
@@ -36,14 +36,14 @@ def parsed(path: PathLike, data: bytes) -> meshes.Mesh:
         raise unreadable(path, "it has no POINTS", "give a mesh")
     points = _vectors(path, data, declared.end(), int(declared[1]), declared[2], binary)
     meshes.checked(path, points.values)
-    normals = meshes.Numbers(np.zeros((0, 3)))
+    normals = meshes.Numbers(np.zeros((0, 3)), 0, lambda _: [])
     if section := _POINT_DATA.search(data, points.end):
         after = _CELL_DATA.search(data, section.end())
         if named := _NORMALS.search(data, section.end() - 1, after.start() + 1 if after else len(data)):
             normals = _vectors(path, data, named.end(), len(points.values), named[1], binary)
 
     def rewritten(moved: meshes.Floats, turned: meshes.Floats) -> bytes:
-        edits = [*points.edits(moved), *(normals.edits(turned) if len(turned) else ())]
+        edits = [*points.edits(moved), *normals.edits(turned)]
         noted = _RANGE.match(data, points.end)  # the range of values, which newer versions store after the points
         if noted and (moved != points.values).any():
             length = np.linalg.norm(moved, axis=1)
@@ -57,7 +57,7 @@ def parsed(path: PathLike, data: bytes) -> meshes.Mesh:
         return [meshes.part_of(len(points.values), *runs.values())]
 
     at = np.arange(len(normals.values), dtype=np.intp)
-    return meshes.Mesh(points.values, meshes.space_of(head[1]), rewritten, parts, normals.values, at)
+    return meshes.PointFile(points.values, meshes.space_of(head[1]), rewritten, parts, normals.values, at)
 
 
 def _runs(data: bytes, found: re.Match[bytes], binary: bool) -> tuple[meshes.Runs, int]:

@@ -8,7 +8,7 @@ import re
 import zlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -84,29 +84,16 @@ class _File:
         return plain(np.array(head, self.count).tobytes()) + plain(b"".join(packed))
 
 
-@dataclass(frozen=True, slots=True)
-class _Array:
-    """An array: its attributes, its numbers, its tag, and the place of its numbers."""
+class _Array(NamedTuple):
+    """An array: its attributes, its numbers, its tag, and what replaces the numbers by others."""
 
     known: dict[str, str]
     values: npt.NDArray[Any]
     tag: tuple[int, int]
-    start: int
-    end: int
-    block: int = 0
-    text: meshes.Numbers | None = None
-
-    def edits(self, file: _File, new: meshes.Floats) -> list[meshes.Edit]:
-        """Return the edits that replace the numbers, and remove their range where the tag has it."""
-        if self.text is not None:
-            edits = self.text.edits(new)
-        else:
-            raw = self.known["format"] == "appended" and file.raw
-            edits = [(self.start, self.end, file.encode(new.astype(self.values.dtype).tobytes(), self.block, raw))]
-        return edits + [(*found.span(), b"") for found in _RANGE.finditer(file.data, *self.tag)]
+    edits: Callable[[meshes.Floats], list[meshes.Edit]] = lambda _: []
 
 
-def parsed(path: PathLike, data: bytes) -> meshes.Mesh:
+def parsed(path: PathLike, data: bytes) -> meshes.PointFile:
     """Return the points of all pieces of PolyData, and their active normals."""
     root = _ROOT.search(data, 0, 4096)
     known = _attributes(root[1]) if root else {}
@@ -148,13 +135,14 @@ def parsed(path: PathLike, data: bytes) -> meshes.Mesh:
             ends = np.cumsum([len(values) for _, values in arrays])
             for (array, values), part in zip(arrays, np.split(new, ends), strict=False):
                 if (part != values).any():
-                    edits += array.edits(file, part)
+                    edits += array.edits(part)  # and its range, where the tag has it, is removed
+                    edits += [(*found.span(), b"") for found in _RANGE.finditer(data, *array.tag)]
         return meshes.edited(file.data, [*edits, *_offsets(file, edits)])
 
     vertices = meshes.checked(file.path, np.concatenate([values for _, values in points]) if points else [])
     vectors = np.concatenate([np.zeros((0, 3)), *(values for _, values in normals)])
     counts = [len(values) for _, values in points]
-    return meshes.Mesh(
+    return meshes.PointFile(
         vertices, _space(file, xml), rewritten, lambda: [_part(file, pieces, counts)], vectors,
         np.concatenate([np.zeros(0, np.intp), *at]),
     )  # fmt: skip
@@ -204,21 +192,26 @@ def _array(file: _File, found: re.Match[bytes]) -> _Array:
         raise unreadable(file.path, f"an array is of type {shown(known.get('type', ''))}")
     dtype = np.dtype(file.order + _TYPES[known["type"]])
     if known["format"] == "appended":
-        start = file.appended + int(known.get("offset", "0"))
-        values, end, block = file.decode(start, file.raw)
-        return _Array(known, np.frombuffer(values, dtype), tag, start, end, block)
-    inner = _KEY.sub(lambda key: b" " * len(key[0]), found[4] or b"")
-    spans = [(found.start(4) + match.start(), found.start(4) + match.end()) for match in meshes.TOKEN.finditer(inner)]
-    if not spans:
-        return _Array(known, np.zeros(0, dtype), tag, found.end(), found.end())
-    start, end = spans[0][0], spans[-1][1]
-    if known["format"] == "ascii" and dtype.kind == "f":
-        text = meshes.in_text(file.data, spans, 1)
-        return _Array(known, text.values.ravel(), tag, start, end, text=text)
-    if known["format"] == "ascii":
-        return _Array(known, np.array([int(file.data[a:b]) for a, b in spans], dtype), tag, start, end)
-    values, end, block = file.decode(start, False)
-    return _Array(known, np.frombuffer(values, dtype), tag, start, end, block)
+        start, raw = file.appended + int(known.get("offset", "0")), file.raw
+    else:
+        inner = _KEY.sub(lambda key: b" " * len(key[0]), found[4] or b"")
+        spans = [
+            (found.start(4) + match.start(), found.start(4) + match.end()) for match in meshes.TOKEN.finditer(inner)
+        ]
+        if not spans:
+            return _Array(known, np.zeros(0, dtype), tag)
+        if known["format"] == "ascii" and dtype.kind == "f":
+            text = meshes.in_text(file.data, spans, 1)
+            return _Array(known, text.values.ravel(), tag, text.edits)
+        if known["format"] == "ascii":
+            return _Array(known, np.array([int(file.data[a:b]) for a, b in spans], dtype), tag)
+        start, raw = spans[0][0], False
+    values, end, block = file.decode(start, raw)
+
+    def edits(new: meshes.Floats) -> list[meshes.Edit]:
+        return [(start, end, file.encode(new.astype(dtype).tobytes(), block, raw))]
+
+    return _Array(known, np.frombuffer(values, dtype), tag, edits)
 
 
 def _space(file: _File, xml: bytes) -> str:

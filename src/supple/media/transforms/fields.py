@@ -291,14 +291,9 @@ def _tags(tags: bytes) -> Iterator[tuple[int, bytes]]:
     at = 0
     while at + 4 <= len(tags):
         (tag,) = struct.unpack_from(">i", tags, at)
-        at += 4
         if tag == 0:
             return
-        if tag == _PLACES:
-            size = 2 * _PLACE
-        else:
-            (size,) = struct.unpack_from(">q", tags, at)
-            at += 8
+        size, at = (2 * _PLACE, at + 4) if tag == _PLACES else (*struct.unpack_from(">q", tags, at + 4), at + 12)
         if tag in _UNSIZED or not 0 <= size <= len(tags) - at:
             raise struct.error
         yield (_PLACES if tag == _SHEARED else tag), tags[at : at + size]

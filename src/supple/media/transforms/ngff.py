@@ -15,9 +15,10 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from supple.engine.work import Array
-from supple.errors import SuppleError, need, said
+from supple.errors import SuppleError, needed, said
 from supple.media.files import PathLike, check_suffix, refusing, replacing_together, unreadable, unwritable
 from supple.media.transforms.base import Content, Displacements, Grids, Matrix, check_content, inverse
+from supple.media.volume.data import MILLIMETRES
 from supple.space.geometry import Grid
 
 SUFFIXES = (".zarr",)
@@ -25,17 +26,6 @@ VERSION = "0.6"
 _FIELDS = "coordinateTransformations"
 _ARRAY = "s0"
 _SIDES = {2: 512, 3: 64}  # of chunks, by the number of axes
-_PREFIXES = {
-    "": 0, "yocto": -24, "zepto": -21, "atto": -18, "femto": -15, "pico": -12, "nano": -9, "micro": -6, "milli": -3,
-    "centi": -2, "deci": -1, "hecto": 2, "kilo": 3, "mega": 6, "giga": 9, "tera": 12, "peta": 15, "exa": 18,
-    "zetta": 21, "yotta": 24,
-}  # fmt: skip
-_UNITS = {f"{prefix}meter": float(f"1e{power + 3}") for prefix, power in _PREFIXES.items()}
-_UNITS |= {"angstrom": 1e-7, "inch": 25.4, "foot": 304.8, "yard": 914.4, "mile": 1_609_344.0}
-_UNITS["parsec"] = 3.0856775814913673e19
-# Not in the specification, but in many files.
-_UNITS |= {**dict.fromkeys(("um", "\u00b5m", "\u03bcm", "micron", "microns"), 1e-3), "nm": 1e-6, "mm": 1.0, "cm": 10.0}
-"""Millimetres in each unit."""
 ORIENTATIONS = {
     "right-to-left": (0, 1.0), "left-to-right": (0, -1.0), "anterior-to-posterior": (1, 1.0),
     "posterior-to-anterior": (1, -1.0), "inferior-to-superior": (2, 1.0), "superior-to-inferior": (2, -1.0),
@@ -189,10 +179,7 @@ def _field(
 
 def imported(what: str = "transformations of OME-Zarr") -> Any:
     """Return the module zarr, imported at the first use; ``what`` names, in an error, the feature that needs it."""
-    need("zarr", what, "zarr")
-    import zarr
-
-    return zarr
+    return needed("zarr", what, "zarr")
 
 
 def space_matrix(axes: Sequence[Json], units: Sequence[str | None], error: Refusal) -> Matrix:
@@ -219,9 +206,9 @@ def space_matrix(axes: Sequence[Json], units: Sequence[str | None], error: Refus
         order, signs = [axis for axis, _ in turns], [sign for _, sign in turns]
     made = np.zeros((n, n))
     for i, unit in enumerate(units):
-        if unit and unit not in _UNITS:
+        if unit and unit not in MILLIMETRES:
             raise error(f"its axis {names[i]} has the unit {unit!r}", "name a length, as micrometer or millimeter")
-        made[order[i], i] = signs[i] * (_UNITS[unit] if unit else 1.0)
+        made[order[i], i] = signs[i] * (MILLIMETRES[unit] if unit else 1.0)
     return made
 
 

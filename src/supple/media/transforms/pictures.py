@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from supple.engine.work import Array
-from supple.errors import OutsideWarning, need, shown
+from supple.errors import OutsideWarning, needed, shown
 from supple.media import image
 from supple.media.files import PathLike, check_suffix, head_of, refusing, replacing, unreadable, unwritable
 from supple.media.image import exr
@@ -122,10 +122,7 @@ def _matrices(path: PathLike) -> dict[str, Array]:
 
 
 def _opencv() -> Any:
-    need("flow", "maps of OpenCV in XML and YAML", "cv2")
-    import cv2
-
-    return cv2
+    return needed("flow", "maps of OpenCV in XML and YAML", "cv2")
 
 
 def _chosen(path: PathLike, named: dict[str, Array]) -> list[Array]:

@@ -6,11 +6,11 @@ import contextlib
 import itertools
 import math
 import warnings
+from bisect import bisect_right
 from collections import deque
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from fractions import Fraction
-from functools import cached_property
 from typing import Any
 
 from supple.errors import need, shown
@@ -73,10 +73,10 @@ class Clip(FrameSource):
         self._sturdy |= counted.suspect
         self.path, self.survey, self.source = path, counted, demux.opened(path)
         self.count = counted.count if count is None else count
+        self._keys = counted.keys if len(counted.times) == self.count else ()
         try:
             film = demux.chosen(self.source, path)
             self.name, self.rate, self.base = shown(path), _rate(film, counted), film.time_base or Fraction(1, 1000)
-            self._lasting(demux.delays_of(self.source))
             self._read_facts(film)
             self._look(first)
         except BaseException:
@@ -87,14 +87,6 @@ class Clip(FrameSource):
             what = f"is damaged or cut short: {how_much}what can be decoded of it is used"
             warnings.warn(f"{self.name} {what}", ClipWarning, stacklevel=4)
 
-    def _lasting(self, delays: Sequence[Fraction]) -> None:
-        """Set the times of frames from their exact durations in seconds, if there is one for each frame."""
-        unit = math.lcm(*(each.denominator for each in delays))
-        self._starts: list[int] = []
-        if delays and len(delays) == self.count and unit < _FINEST:
-            self.base, self.rate = Fraction(1, unit), self.count / sum(delays, Fraction(0))
-            self._starts = [int(start * unit) for start in itertools.accumulate(delays, initial=Fraction(0))]
-
     def _read_facts(self, film: av.VideoStream) -> None:
         self.index = film.index
         context = film.codec_context
@@ -103,7 +95,12 @@ class Clip(FrameSource):
         self.field_order, self.profile = context.field_order, context.profile or ""
         tagged = [film, *(stream for stream in self.source.streams if stream.type == "data"), self.source]
         self.timecode = next((found for each in tagged if (found := said_of(each, "timecode"))), "")
-        self.plays = demux.plays_of(self.source)
+        self.plays, delays = demux.animation_of(self.source)
+        unit = math.lcm(*(each.denominator for each in delays))
+        self._starts: list[int] = []  # and the end, if durations are exact
+        if delays and len(delays) == self.count and unit < _FINEST:
+            self.base, self.rate = Fraction(1, unit), self.count / sum(delays, Fraction(0))
+            self._starts = [int(start * unit) for start in itertools.accumulate(delays, initial=Fraction(0))]
         header = context.extradata or b""
         self.header = b"" if header == context.codec_tag.encode("latin-1", "replace") else header  # ProRes in Matroska
         self.pace = Fraction(film.base_rate or 0)
@@ -183,7 +180,7 @@ class Clip(FrameSource):
             self.source = demux.opened(self.path)
         self._fresh = False
         film = demux.chosen(self.source, self.path)
-        others = [self.source.streams[index] for index in self.passage.indices] if self.passage else []
+        others = [self.source.streams[index] for index in self.passage.streams] if self.passage else []
         times = self._times = []
         usual = demux.usual_step(self.rate, self.base)
         counted = demux.is_counted(self.source)
@@ -212,7 +209,9 @@ class Clip(FrameSource):
                     if found == self.count and demux.sums_up(self.source) and frame.pts is not None and times:
                         left = round(self.survey.duration / self.base) - (frame.pts - times[0][0])
                         lasts = left if left > 0 else lasts
-                    demux.add_time(times, shown_at.popleft() if shown_at else frame.pts, lasts)
+                    pts = shown_at.popleft() if shown_at else frame.pts
+                    start = sum(times[-1] if times else ()) if pts is None else pts
+                    times.append((max(start, times[-1][0] + 1) if times else start, lasts))  # starts ascend
                     if copies:
                         made_of = sent.pop(frame.pts, None)
                         self._packets.append(None if frame.is_corrupt else made_of)
@@ -227,34 +226,32 @@ class Clip(FrameSource):
             what = f"has {bad} damaged frame{'s' * (bad > 1)}: {how_much}what can be decoded is used"
             warnings.warn(f"{self.name} {what}", ClipWarning, stacklevel=2)
 
-    @cached_property
-    def _index(self) -> demux.Index | None:
-        return None if self.survey.suspect else demux.index_of(self.path, self.count)
-
     def key_before(self, k: int) -> int:
-        """Return the key frame from which decoding must begin for frame `k`; 0 if the file has no index."""
-        return 0 if self._index is None else self._index.before(k)
+        """Return the key frame from which decoding must begin for frame `k`; 0 if times do not identify frames."""
+        found = bisect_right(self._keys, k)
+        return self._keys[found - 1] if found else 0
 
     def frames_from(self, k: int) -> Iterator[tuple[int, LazyFrame]]:
         """Decode from frame `k` on, beginning at the key frame before it; yield frames with their numbers.
 
-        If the frames do not match the index, it decodes from the start.
+        If the frames do not match the times of packets, it decodes from the start.
         """
-        due, key, known = k, self.key_before(k), self._index
-        if key and known is not None:
-            for pts, picture in self._sought(known.starts[key]):  # closed when the generator is dropped
-                number = -1 if pts is None else known.numbers.get(pts, -1)
-                if key <= number < due or (pts is not None and pts < known.starts[key]):
-                    continue  # before `k`; or shown before the key frame, and lacks its references
-                if number != due:
+        due, times = self.key_before(k), self.survey.times
+        if due:
+            start = times[due]
+            for pts, picture in self._sought(start):  # closed when the generator is dropped
+                if pts is not None and pts < start:
+                    continue  # shown before the key frame, and lacks its references
+                if due == self.count or pts != times[due]:
                     break
-                yield due, picture
+                if due >= k:
+                    yield due, picture
                 due += 1
             if due == self.count:
                 return
-            self._index = None  # the index is wrong
+            self._keys = ()  # the times are wrong
         for number, picture in enumerate(self.frames()):
-            if number >= due:
+            if number >= max(due, k):
                 yield number, picture
 
     def _sought(self, start: int) -> Iterator[tuple[int | None, LazyFrame]]:
@@ -337,20 +334,16 @@ class Clip(FrameSource):
         kind = self.form.kind
         return {
             "container": self.source.format.name,
-            "codec": self.codec,
-            "width": self.width,
-            "height": self.height,
+            **{name: getattr(self, name) for name in ("codec", "width", "height")},
             "frames": self.count,
             "rate": self.rate,
-            "variable": self.survey.variable,
+            "variable": bool(self.survey.starts),
             "duration": float(seen),
             "pixel_format": self.pixel_format,
             "bits": kind.bits,
             "alpha": kind.alpha,
             "range": {1: "limited", 2: "full"}.get(self.colour.range, "unknown"),
-            "primaries": self.colour.primaries,
-            "transfer": self.colour.transfer,
-            "matrix": self.colour.matrix,
+            **{name: getattr(self.colour, name) for name in ("primaries", "transfer", "matrix")},
             "siting": self.colour.site or "unknown",
             "rotation": self.rotation,
             "mirrored": self.mirrored,

@@ -86,11 +86,8 @@ def described(container: av.container.Container, index: int) -> str:
 
 def named_site(description: str) -> str:
     """Return the chroma siting in a stream's description; empty if it has none."""
-    for inside in re.findall(r"\(([^()]*)\)", description):
-        for word in inside.split(", "):
-            if word in _SITES:
-                return str(word)
-    return ""
+    words = ", ".join(re.findall(r"\(([^()]*)\)", description)).split(", ")
+    return next((word for word in words if word in _SITES), "")
 
 
 def sited(colour: Colour, codec: str, kind: Kind) -> str:

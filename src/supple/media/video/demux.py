@@ -7,12 +7,12 @@ import itertools
 import mmap
 import os
 import re
-from bisect import bisect_right
+from bisect import bisect_left
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import av
 from av.format import Flags as FormatFlags
@@ -76,47 +76,36 @@ class Survey:
     duration: Fraction  # seconds from the start of the first frame to the end of the last
     damaged: bool  # whether the file is truncated
     suspect: bool  # whether some packets may be damaged, or incomplete
-    variable: bool = False  # whether the spacing in time varies
-    starts: tuple[float, ...] = ()  # start times in seconds from the first, if it varies
+    starts: tuple[float, ...] = ()  # start times in seconds from the first, if their spacing varies
     missing: int = 0  # the number of lost frames, if the file is truncated
+    # display times of the frames in order, in ticks of the stream; empty if they do not identify frames
+    times: tuple[int, ...] = ()
+    # key frames, at which decoding may begin; frames shown before one but stored after it may need earlier ones
+    keys: tuple[int, ...] = ()
 
 
-# Kept: FFmpeg does not report a truncated GIF (test_a_cut_gif_is_used_with_a_warning).
-def _ends(path: str) -> bool:
-    """Return whether a GIF has its trailer."""
-    with open(path, "rb") as file:
-        file.seek(0, os.SEEK_END)
-        file.seek(max(0, file.tell() - 512))
-        return file.read().rstrip(b"\0").endswith(b";")
+# Kept: FFmpeg neither reports the number of repetitions (test_how_often_it_plays_comes_through), nor keeps the exact
+# durations of an animated PNG (test_times_of_a_film_are_kept).
+def animation_of(container: av.container.InputContainer) -> tuple[int | None, list[Fraction]]:
+    """Return how often an animation plays, 0 for ever, None for other videos; and the durations of frames of a PNG.
 
-
-# Kept: FFmpeg does not report the number of repetitions (test_how_often_it_plays_comes_through).
-def plays_of(container: av.container.InputContainer) -> int | None:
-    """Return the number of times that an animation plays, 0 for ever; None for other videos."""
-    kind = container.format.name
+    Durations are in seconds; there are none if one is missing.
+    """
+    kind, plays, delays, at = container.format.name, None, list[Fraction](), 8
     if kind not in ("gif", "apng"):
-        return None
+        return None, []
     with open(container.name, "rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
-        if kind == "apng":
-            found = re.search(rb"acTL....(....)", data, re.DOTALL)
-            return int.from_bytes(found[1], "big") if found else None
-        found = re.search(rb"\x21\xff\x0b(?:NETSCAPE2\.0|ANIMEXTS1\.0)\x03\x01(..)", data, re.DOTALL)
-        again = int.from_bytes(found[1], "little") if found else None
-        return 1 if again is None else again and again + 1
-
-
-# Kept: FFmpeg rounds these durations (test_times_of_a_film_are_kept).
-def delays_of(container: av.container.InputContainer) -> list[Fraction]:
-    """Return the duration of each frame of an animated PNG in seconds; empty for other files, or if one is missing."""
-    found, at = [], 8
-    if container.format.name == "apng":
-        with open(container.name, "rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
-            while len(head := data[at : at + 34]) > 8:
-                if head[4:8] == b"fcTL":
-                    part, whole = int.from_bytes(head[28:30]), int.from_bytes(head[30:32])
-                    found.append(Fraction(part, whole or 100))
-                at += 12 + int.from_bytes(head[:4])
-    return found if all(found) else []
+        if kind == "gif":
+            found = re.search(rb"\x21\xff\x0b(?:NETSCAPE2\.0|ANIMEXTS1\.0)\x03\x01(..)", data, re.DOTALL)
+            again = int.from_bytes(found[1], "little") if found else None
+            return 1 if again is None else again and again + 1, []
+        while len(head := data[at : at + 34]) > 8:
+            if head[4:8] == b"acTL":
+                plays = int.from_bytes(head[12:16])
+            elif head[4:8] == b"fcTL":
+                delays.append(Fraction(int.from_bytes(head[28:30]), int.from_bytes(head[30:32]) or 100))
+            at += 12 + int.from_bytes(head[:4])
+    return plays, delays if all(delays) else []
 
 
 def _attend(container: av.container.InputContainer, streams: Sequence[av.stream.Stream]) -> None:
@@ -136,12 +125,15 @@ def survey(
 ) -> tuple[Survey, av.VideoFrame | None]:
     """Count the frames of a film by its packets; also return the first decoded frame."""
     _attend(container, [film])
-    hidden = film.codec_context.codec.canonical_name == "vp8"
+    name = film.codec_context.codec.canonical_name
+    hidden = name == "vp8"
+    told = not (container.format.flags & _DISCONTINUOUS or is_counted(container) or codec_of(name).hides)
     packets = count = 0
     first = last = None
     step = total = 0
     damaged = suspect = False
     starts: list[int] = []
+    keys: list[int] = []
     decoded: list[av.VideoFrame] = []
     try:
         for packet in container.demux(film):
@@ -158,22 +150,28 @@ def survey(
             start = packet.pts if packet.pts is not None else packet.dts
             if packet.pts is not None:
                 starts.append(packet.pts)
+                keys += [packet.pts] * packet.is_keyframe
             if start is not None:
                 first = start if first is None else min(first, start)
                 last = start + step if last is None else max(last, start + step)
     except av.FFmpegError:
         damaged = True
-    damaged |= container.format.name == "gif" and not _ends(container.name)
+    if container.format.name == "gif":  # FFmpeg does not report a missing end (test_a_cut_gif_is_used_with_a_warning)
+        with open(container.name, "rb") as file:
+            file.seek(max(0, os.path.getsize(container.name) - 512))
+            damaged |= not file.read().rstrip(b"\0").endswith(b";")
     base = film.time_base or Fraction(1)
     span = Fraction(last - first) * base if first is not None and last is not None else Fraction(0)
     if sums_up(container):  # VP9's packets have no durations
         span = (total or film.duration or 0) * base or span
-    told = _told(film)
+    # the duration in Matroska's tags survives truncation of the file
+    lasts = re.fullmatch(r"(\d+):(\d\d):(\d\d(?:\.\d+)?)", film.metadata.get("DURATION", ""))
     end = span if last is None else max(span, last * base)  # Matroska's duration may count from zero
     reached = last if is_counted(container) and last is not None else packets
     missing = film.frames - max(reached, packets) if film.frames else 0
-    if told is not None and packets > 0 and span > 0:
-        missing = round((told - end) * packets / span)
+    if lasts and packets > 0 and span > 0:
+        promised = int(lasts[1]) * 3600 + int(lasts[2]) * 60 + Fraction(lasts[3])
+        missing = round((promised - end) * packets / span)
     # In an MP4, an edit list may exclude samples: only an incomplete packet shows truncation.
     cut = missing > _SLOPPY and (suspect or damaged or not sums_up(container))
     starts.sort()
@@ -182,7 +180,9 @@ def survey(
     varies = len(steps) > 1 and max(steps) - min(steps) > max(2, sorted(steps)[len(steps) // 2] / 10)
     seconds = tuple(float((start - starts[0]) * base) for start in starts) if varies else ()
     broken = damaged or cut
-    found = Survey(packets, count, span, broken, suspect or broken, varies, seconds, max(0, missing) if broken else 0)
+    found = Survey(packets, count, span, broken, suspect or broken, seconds, max(0, missing) if broken else 0)
+    if told and not found.suspect and len(starts) == packets and min(steps, default=1) > 0:
+        found = replace(found, times=tuple(starts), keys=tuple(bisect_left(starts, key) for key in sorted(keys)))
     return found, next(iter(decoded or decoded_by(decoder, None) or ()), None)
 
 
@@ -191,52 +191,32 @@ def sums_up(container: av.container.InputContainer) -> bool:
     return "mp4" in container.format.name
 
 
-def _told(film: av.VideoStream) -> Fraction | None:
-    """Return the duration of a film in Matroska's tags, which survives truncation of the file; None if missing."""
-    found = re.fullmatch(r"(\d+):(\d\d):(\d\d(?:\.\d+)?)", film.metadata.get("DURATION", ""))
-    return int(found[1]) * 3600 + int(found[2]) * 60 + Fraction(found[3]) if found else None
-
-
-class Clock:
-    """One clock for all streams of a file: broadcasts start at any time, and jump at joins.
-
-    Times in MPEG-TS, MPEG-PS and similar formats are shifted to begin at zero; other formats keep their times.
-    """
-
-    def __init__(self, container: av.container.InputContainer) -> None:
-        self._broadcast = bool(container.format.flags & _DISCONTINUOUS)
-        start = container.start_time if self._broadcast else None
-        self._shift = -Fraction(start, av.time_base) if start is not None else Fraction(0)
-        self._due: dict[int, Fraction] = {}
-
-    def set(self, packet: av.Packet[Any], continuous: bool) -> None:
-        """Shift the times of a packet to the clock; jumps in `continuous` streams (sound, video) are closed."""
-        when = packet.dts if packet.dts is not None else packet.pts
-        if not self._broadcast or when is None:
-            return
-        base = packet.time_base
-        time = when * base + self._shift
-        due = self._due.get(packet.stream_index)
-        if continuous and due is not None and not due - _BACK <= time <= due + _JUMP:
-            self._shift += due - time
-            time = due
-        self._due[packet.stream_index] = time + (packet.duration or 0) * base
-        ticks = round(self._shift / base)
-        if packet.pts is not None:
-            packet.pts += ticks
-        if packet.dts is not None:
-            packet.dts += ticks
-
-
 def packets(container: av.container.InputContainer, streams: list[av.stream.Stream]) -> Iterator[av.Packet[Any]]:
-    """Read the packets of some streams, on one clock, until the file ends or is cut off."""
-    clock = Clock(container)
+    """Read the packets of some streams, on one clock, until the file ends or is cut off.
+
+    Broadcasts start at any time, and jump at joins. Times in MPEG-TS, MPEG-PS and similar formats are shifted to begin
+    at zero, and jumps of sound and video are closed; other formats keep their times.
+    """
+    broadcast = bool(container.format.flags & _DISCONTINUOUS)
+    shift, due = -Fraction(container.start_time or 0, av.time_base), dict[int, Fraction]()
     _attend(container, streams)
     with contextlib.suppress(av.FFmpegError):  # already found by the survey
         for packet in container.demux(streams):
-            if packet.size or packet.pts is not None:
-                clock.set(packet, packet.stream.type in ("audio", "video"))
-                yield packet
+            if not packet.size and packet.pts is None:
+                continue
+            when = packet.dts if packet.dts is not None else packet.pts
+            if broadcast and when is not None:
+                base, k = packet.time_base, packet.stream_index
+                time = when * base + shift
+                continuous = k in due and packet.stream.type in ("audio", "video")
+                if continuous and not due[k] - _BACK <= time <= due[k] + _JUMP:
+                    shift += due[k] - time
+                    time = due[k]
+                due[k] = time + (packet.duration or 0) * base
+                ticks = round(shift / base)
+                packet.pts = None if packet.pts is None else packet.pts + ticks
+                packet.dts = None if packet.dts is None else packet.dts + ticks
+            yield packet
 
 
 def decoded_by(decoder: av.VideoCodecContext, packet: av.Packet[Any] | None) -> list[av.VideoFrame] | None:
@@ -247,54 +227,6 @@ def decoded_by(decoder: av.VideoCodecContext, packet: av.Packet[Any] | None) -> 
         return None
 
 
-def add_time(times: list[tuple[int, int]], pts: int | None, lasts: int) -> None:
-    """Add start and duration of a frame to those before it, in ticks; a start that is missing or not later is moved."""
-    before, due = (times[-1][0], sum(times[-1])) if times else (None, 0)
-    start = due if pts is None else pts
-    times.append((start if before is None else max(start, before + 1), lasts))
-
-
 def usual_step(rate: Fraction, base: Fraction) -> int:
     """Return the ticks of one frame at a rate."""
     return max(1, round(1 / (rate * base)))
-
-
-class Index(NamedTuple):
-    """The index of the frames of a film by time."""
-
-    starts: list[int]  # display times, in ticks of the stream, in order
-    numbers: dict[int, int]  # of frames, by these times
-    # key frames, at which decoding may begin; frames shown before one but stored after it may need earlier ones
-    keys: list[int]
-
-    def before(self, k: int) -> int:
-        """Return the last frame, not after `k`, at which decoding may begin; 0 for the start."""
-        found = bisect_right(self.keys, k)
-        return self.keys[found - 1] if found else 0
-
-
-def index_of(path: PathLike, count: int) -> Index | None:
-    """Read the times of a film's packets; None if they do not identify `count` frames."""
-    starts: list[int] = []
-    keys: list[int] = []
-    with opened(path) as container:
-        film = chosen(container, path)
-        name = film.codec_context.codec.canonical_name
-        if container.format.flags & _DISCONTINUOUS or is_counted(container) or codec_of(name).hides:
-            return None
-        _attend(container, [film])
-        try:
-            for packet in container.demux(film):
-                if not packet.size:
-                    continue
-                if packet.pts is None or packet.is_discard or packet.is_corrupt:
-                    return None
-                starts.append(packet.pts)
-                if packet.is_keyframe:
-                    keys.append(packet.pts)
-        except av.FFmpegError:
-            return None
-    numbers = {start: k for k, start in enumerate(sorted(starts))}
-    if not len(starts) == len(numbers) == count:
-        return None
-    return Index(sorted(starts), numbers, sorted(numbers[key] for key in keys))

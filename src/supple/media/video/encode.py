@@ -120,7 +120,11 @@ class Sink:
         video, chosen = self._video, self._plan.match
         shape, colour = (video.height, video.width), self._colour
         if self._plan.encoder.name == "gif":
-            self._warn_of_half_opacity(arrays)
+            opacity = arrays[0][..., -1]
+            half = video.layout.groups[0].alpha and not self._halved
+            if half and ((opacity > 0) & (opacity < video.layout.white)).any():
+                self._halved = True
+                self._plan.warn("has pixels that are seen or not: what is half transparent becomes one of these")
             return _paletted(recast(arrays, video.form, colour, form("bgra") or video.form, Colour(2, matrix=0), shape))
         if chosen.opacity and (arrays[0][..., -1] < video.layout.white).any():
             self._plan.warn("loses opacity")
@@ -130,28 +134,15 @@ class Sink:
             if any((each & cut).any() for each in arrays):
                 self._plan.warn(self._plan.depth)
                 self._plan.depth = ""
-        if not chosen.same:
-            return self._fielded(recast(arrays, video.form, colour, chosen.form, self._plan.colour, shape))
-        frame = pack(arrays, chosen.form, self._blank)
-        chosen.colour.mark(frame)
-        return self._fielded(frame)
-
-    def _fielded(self, frame: av.VideoFrame) -> av.VideoFrame:
-        """Return a frame tagged with the field that is shown first."""
-        if not self._plan.fields:
-            return frame
-        made = filtered(frame, ("setfield", f"{self._plan.fields[0]}ff"))
+        if chosen.same:
+            frame = pack(arrays, chosen.form, self._blank)
+            chosen.colour.mark(frame)
+        else:
+            frame = recast(arrays, video.form, colour, chosen.form, self._plan.colour, shape)
+        tags = [("setfield", f"{self._plan.fields[0]}ff")] if self._plan.fields else []  # which one is shown first
+        made = filtered(frame, *tags) if tags else frame
         assert made is not None
         return made
-
-    def _warn_of_half_opacity(self, arrays: Sequence[Array]) -> None:
-        group = self._video.layout.groups[0]
-        if not group.alpha or self._halved:
-            return
-        opacity = arrays[0][..., -1]
-        if ((opacity > 0) & (opacity < self._video.layout.white)).any():
-            self._halved = True
-            self._plan.warn("has pixels that are seen or not: what is half transparent becomes one of these")
 
     def _stamp(self, k: int, pts: int, duration: int) -> int:
         """Return the time for the encoder, and record the time for the file."""

@@ -39,6 +39,7 @@ _FINEST = 1_000_000  # the finest ticks a second that encoders handle well
 _TICKS = 50_000_000  # a second, the most in MP4
 _DELAYED = 3  # frames: in shorter clips, x265 reports wrong decoding times, unless reordering is off
 _TIMECODE = re.compile(r"\d+:\d\d:\d\d([:;.])(\d+)")
+_USUAL = "ffv1 in .mkv"  # where nothing else is lossless
 _SLICED = 16  # the smallest width and height that FFV1 can slice
 _PACES = 8  # ticks for each frame in AVI, so that frames keep their times
 _CHROMA = {(1, 1): "4:4:4", (2, 1): "4:2:2", (2, 2): "4:2:0", (4, 1): "4:1:1", (4, 4): "4:1:0", (1, 2): "4:4:0"}
@@ -61,12 +62,6 @@ def _found(name: str) -> av.Codec | None:
     return found if found.type == "video" else None
 
 
-def _pixel_formats(encoder: str) -> list[str]:
-    """Return the pixel formats of an encoder; empty if it takes any."""
-    found = _found(encoder)
-    return [video.name for video in (found.video_formats or [])] if found else []
-
-
 def _usable(container: Container) -> dict[str, str]:
     """Return the codecs of the table that a container can hold, with their available encoders."""
     held = _held(container)
@@ -84,21 +79,16 @@ def _joined(*parts: str | None) -> str:
     return ":".join(part for part in parts if part)
 
 
-def _having(container: Container, what: str) -> list[str]:
+def _having(container: Container, what: str) -> str:
     """Return the codecs that a container can hold and whose encoder has a property, an attribute of `Encoder`."""
     found = {name: getattr(ENCODERS.get(encoder), what, None) for name, encoder in _usable(container).items()}
-    return [name for name, value in found.items() if value not in (None, ())]
-
-
-def _exact_in(container: Container) -> str:
-    """Return advice on the codecs for lossless output in a container, or else in another one."""
-    return ", ".join(_having(container, "exact")) or "ffv1 in .mkv"
+    return ", ".join(name for name, value in found.items() if value not in (None, ()))
 
 
 def _without(container: Container, what: str) -> str:
     """Return advice for an option that an encoder does not have."""
     others = _having(container, what)
-    return "leave it out" + (f", or use a codec that has: {', '.join(others)}" if others else "")
+    return "leave it out" + (f", or use a codec that has: {others}" if others else "")
 
 
 def _read_as(name: str, container: Container, height: int) -> Colour:
@@ -202,7 +192,7 @@ class WritePlan:
         container, source = self.container, self.video.codec
         held, usable = _held(container), _usable(container)
         if codec is not None:
-            advice = f"use {_exact_in(container) if self.lossless else ', '.join(usable)}"
+            advice = f"use {_having(container, 'exact') or _USUAL if self.lossless else ', '.join(usable)}"
             asked = ALIASES.get(codec.lower(), codec.lower())
             encoder = _found(codec_of(asked).encoder or asked)
             if encoder is None:
@@ -232,7 +222,7 @@ class WritePlan:
                 what = f"crf {crf:g} is for what may lose something"
                 raise unwritable(target, what, "leave out either it or lossless")
             if encoder.exact is None and (name == "gif" or found.lossy or not found.lossless):
-                advice = f"use {_exact_in(container)}, or leave out lossless"
+                advice = f"use {_having(container, 'exact') or _USUAL}, or leave out lossless"
                 raise unwritable(target, f"{encoder.codec} always loses something", advice)
             chosen |= encoder.exact or {}
         elif encoder.crf:
@@ -298,7 +288,7 @@ class WritePlan:
                 self.warn(text)
         if video.grading and not self.encoder.graded:
             others = _having(self.container, "graded")
-            advice = f": --codec {' or '.join(others)} keeps them" if others else ""
+            advice = f": --codec {others.replace(', ', ' or ')} keeps them" if others else ""
             self.warn(f"loses the light levels of HDR, which {self.encoder.codec} cannot hold{advice}")
         sound = video.source is not None and any(stream.type == "audio" for stream in video.source.streams)
         if sound and self.container.counted and self.encoder.codec in ("h264", "hevc"):
@@ -411,8 +401,9 @@ class WritePlan:
             context.codec_tag = "hvc1"  # for QuickTime
 
     def _formats(self) -> list[str]:
-        """Return the pixel formats that the encoder takes, and the container can hold."""
-        names = _pixel_formats(self.encoder.name)
+        """Return the pixel formats that the encoder takes, and the container can hold; none if it takes any."""
+        encoder = _found(self.encoder.name)
+        names = [video.name for video in (encoder and encoder.video_formats) or []]
         if self.container.name in codec_of(self.encoder.codec).opaque_in:
             return [name for name in names if not ((found := form(name)) and found.kind.alpha)]
         return names

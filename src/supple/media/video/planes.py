@@ -132,42 +132,24 @@ def _samples(plane: Any, rows: int, item: np.dtype[np.generic]) -> Array:
     return table[::-1] if line < 0 else table  # some decoders store frames bottom up
 
 
-def _views(frame: av.VideoFrame, form: Form) -> list[Array]:
-    """Return a view of each component of a frame."""
-    planes = frame.planes
-    seen: list[Array] = []
-    for number, place in enumerate(form.places):
-        width, height = frame.width, frame.height
-        if number in (1, 2) and form.kind.family == "yuv":
-            width, height = -(-width // form.kind.step[0]), -(-height // form.kind.step[1])
-        rows = _samples(planes[place.plane], height, form.item)
-        seen.append(rows[:, place.start :: place.step][:, :width])
-    return seen
+def _pairs(frame: av.VideoFrame, form: Form, arrays: Sequence[Array]) -> list[tuple[Array, Array]]:
+    """Return pairs of views: a component of a frame, and the same component in the arrays.
 
-
-def _slots(arrays: Sequence[Array], kind: Kind) -> list[Array]:
-    """Return a view of each component in the arrays, in the order of `Form.places`; without chroma's own opacity."""
-    slots = [arrays[0][..., channel] for channel in range(arrays[0].shape[-1])]
+    Packed components in order are one pair; chroma's own opacity has none.
+    """
+    planes, count = frame.planes, len(form.places)
+    if count > 1 and not form.shift and all(place == Place(0, k, count) for k, place in enumerate(form.places)):
+        rows = _samples(planes[0], frame.height, form.item)
+        return [(rows[:, : frame.width * count].reshape(frame.height, frame.width, count), arrays[0])]
+    slots = list(np.moveaxis(arrays[0], -1, 0))
     if len(arrays) > 1:
         slots[1:1] = [arrays[1][..., 0], arrays[1][..., 1]]
-    return slots
-
-
-def _whole(frame: av.VideoFrame, form: Form) -> Array | None:
-    """Return a packed frame as one array (H, W, C); None if its components are out of order or padded."""
-    count = len(form.places)
-    if count == 1 or any(place != Place(0, number, count) for number, place in enumerate(form.places)):
-        return None
-    rows = _samples(frame.planes[0], frame.height, form.item)
-    return rows[:, : frame.width * count].reshape(frame.height, frame.width, count)
-
-
-def _pairs(frame: av.VideoFrame, form: Form, arrays: Sequence[Array]) -> list[tuple[Array, Array]]:
-    """Return pairs of views: a component of a frame, and the same component in the arrays."""
-    whole = _whole(frame, form)
-    if whole is not None and not form.shift:
-        return [(whole, arrays[0])]
-    return list(zip(_views(frame, form), _slots(arrays, form.kind), strict=True))
+    pairs = []
+    for k, (place, slot) in enumerate(zip(form.places, slots, strict=True)):
+        x, y = form.kind.step if k in (1, 2) and form.kind.family == "yuv" else (1, 1)
+        rows = _samples(planes[place.plane], -(-frame.height // y), form.item)
+        pairs.append((rows[:, place.start :: place.step][:, : -(-frame.width // x)], slot))
+    return pairs
 
 
 def unpack(frame: av.VideoFrame, form: Form, arrays: Sequence[Array]) -> None:

@@ -75,12 +75,6 @@ def named(container: av.container.InputContainer, stream: av.stream.Stream) -> s
     return _DATA.get(kind) or (f"data {kind!r}" if kind and name in ("unknown", "bin_data") else f"{name} data")
 
 
-def picture(path: str, index: int) -> bytes:
-    """Return the bytes of a stream's first packet, such as a cover picture."""
-    with av.open(path, metadata_errors="surrogateescape") as source:
-        return next((bytes(packet) for packet in source.demux(source.streams[index]) if packet.size), b"")
-
-
 def holds(container: Container, template: av.stream.Stream) -> bool:
     """Return whether a container can hold a stream, by writing its header, and a packet of data, into memory."""
     if container.streams is not None and name_of(template) not in container.streams:
@@ -121,7 +115,7 @@ class Passage:
         self._target = target
         self._output = output
         self._avi = container.counted  # AVI cannot store that sound begins before the film, as with AAC
-        self._streams: dict[int, av.stream.Stream] = {}
+        self.streams: dict[int, av.stream.Stream] = {}  # those that are written, by their indices in the source
         self._last: dict[int, int] = {}
         self._waiting: deque[tuple[Fraction | None, av.Packet[Any]]] = deque()
         self._bytes = 0
@@ -139,20 +133,17 @@ class Passage:
                 kind, tags = name_of(stream), stream.metadata
                 name = tags.get("filename") or f"cover.{'jpg' if kind == 'mjpeg' else kind}"
                 mime = tags.get("mimetype") or f"image/{'jpeg' if kind == 'mjpeg' else kind}"
-                made = output.add_attachment(name, mime, picture(source.name, stream.index))
+                with av.open(source.name, metadata_errors="surrogateescape") as again:
+                    data = (bytes(packet) for packet in again.demux(again.streams[stream.index]) if packet.size)
+                    made = output.add_attachment(name, mime, next(data, b""))
                 made.metadata.update({"filename": name, "mimetype": mime} | kept_tags(tags))
             elif holds(container, stream):
-                self._streams[stream.index] = copied(output, stream)
+                self.streams[stream.index] = copied(output, stream)
             else:
                 what = named(source, stream)
                 if stream.type != "data":
                     what += f" {'cover' if cover else stream.type}"
                 self._warn(f"cannot hold the {what} (stream {stream.index}): it is left out")
-
-    @property
-    def indices(self) -> list[int]:
-        """The indices of the copied streams in the source."""
-        return list(self._streams)
 
     def take(self, packet: av.Packet[Any]) -> None:
         """Hold a packet until the film has reached its time. Called by the reading thread."""
@@ -172,7 +163,7 @@ class Passage:
 
     def _mux(self, packet: av.Packet[Any]) -> None:
         index = packet.stream_index
-        stream = self._streams.get(index)
+        stream = self.streams.get(index)
         if stream is None:
             return
         last, start = self._last.get(index), packet.pts
@@ -196,7 +187,7 @@ class Passage:
         try:
             self._output.mux_one(packet)
         except (av.error.InvalidDataError, av.error.ArgumentError, av.error.PatchWelcomeError, ValueError):
-            del self._streams[index]
+            del self.streams[index]
             self._warn(f"cannot hold all of the {stream.type} (stream {index}) of the source: the rest is left out")
 
     def _warn(self, what: str) -> None:

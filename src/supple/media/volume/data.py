@@ -22,6 +22,18 @@ Array = npt.NDArray[Any]
 _SEGMENT = re.compile(r"Segment\d+_(ID|LabelValue)")
 TO_RAS = np.diag([-1.0, -1.0, 1.0, 1.0])
 """The matrix (4, 4) from positions in LPS to positions in RAS, and back."""
+_PREFIXES = {
+    "": 0, "yocto": -24, "zepto": -21, "atto": -18, "femto": -15, "pico": -12, "nano": -9, "micro": -6, "milli": -3,
+    "centi": -2, "deci": -1, "hecto": 2, "kilo": 3, "mega": 6, "giga": 9, "tera": 12, "peta": 15, "exa": 18,
+    "zetta": 21, "yotta": 24,
+}  # fmt: skip
+MILLIMETRES = {f"{prefix}meter": float(f"1e{power + 3}") for prefix, power in _PREFIXES.items()}
+MILLIMETRES |= {"angstrom": 1e-7, "inch": 25.4, "foot": 304.8, "yard": 914.4, "mile": 1_609_344.0}
+MILLIMETRES["parsec"] = 3.0856775814913673e19
+# Not in the specification of OME-Zarr, but in many files.
+MILLIMETRES |= dict.fromkeys(("um", "\u00b5m", "\u03bcm", r"\u00b5m", "micron", "microns"), 1e-3)
+MILLIMETRES |= {"nm": 1e-6, "mm": 1.0, "cm": 10.0, "m": 1000.0, "metre": 1000.0, "in": 25.4}
+"""Millimetres in each unit, by its name in lower case."""
 DTYPES = ("uint8", "int8", "uint16", "int16", "uint32", "int32", "uint64", "int64", "float32", "float64")
 
 

@@ -96,13 +96,9 @@ def write(path: PathLike, samples: Array, like: Volume, *, force: bool = False) 
         (_write_frames if isinstance(like.header, str) else _write_slices)(path, samples, like, force)
 
 
-def _stamp() -> tuple[Any, datetime.datetime]:
-    return new_uid(), datetime.datetime.now()
-
-
 def _write_frames(path: PathLike, samples: Array, like: Volume, force: bool) -> None:
     source = _source(path, like)
-    made = _derived(source.head, _stamp(), like.resampled)
+    made = _derived(source.head, new_uid(), like.resampled)
     scale = _set_pixels(made, samples, source.scale)
     if scale != source.scale:
         for group in (*(made.get("SharedFunctionalGroupsSequence") or ()), *(made.get(_GROUPS) or ())):
@@ -120,13 +116,13 @@ def _write_slices(path: PathLike, samples: Array, like: Volume, _: bool) -> None
         heads = [head_of(name) for name in like.header]
     except Exception as error:  # pydicom raises many types
         raise unwritable(path, f"{like.name} is not readable any more", "bring it back") from error
-    places, stamp = np.array([_place_of(head) for head in heads]), _stamp()
-    common = {_scale_of(head) for head in heads}
+    told, series = [_told(head) for head in heads], new_uid()
+    places, common = np.array([place for place, _ in told]), {scale for _, scale in told}
     with replacing_all(Path(path)) as folder:
         for k, slab in enumerate(samples):
             place = like.geometry.to_lps((0.0, 0.0, k))
             near = _nearest(places, place)
-            made = _derived(heads[near], stamp, like.resampled)
+            made = _derived(heads[near], series, like.resampled)
             made.InstanceNumber = k + 1
             scale = _set_pixels(made, slab[None], next(iter(common)) if len(common) == 1 else None)
             if made.get(_GROUPS):
@@ -150,41 +146,31 @@ def _nearest(places: Array, place: Array) -> int:
     return int(((places - place) ** 2).sum(axis=1).argmin())
 
 
-def _place_of(head: Any) -> tuple[float, float, float]:
-    known = item_of(head, 0, "PlanePositionSequence") if head.get(_GROUPS) else head
-    x, y, z = (float(value) for value in (known or {}).get("ImagePositionPatient") or (0, 0, 0))
-    return x, y, z
+def _told(head: Any) -> tuple[list[float], tuple[float, float]]:
+    """Return the position of a slice, and its rescale slope and intercept."""
+    names = "PlanePositionSequence", "PixelValueTransformationSequence"
+    place, values = ((item_of(head, 0, name) if head.get(_GROUPS) else head) or {} for name in names)
+    scale = float(values.get("RescaleSlope") or 1), float(values.get("RescaleIntercept") or 0)
+    return [float(value) for value in place.get("ImagePositionPatient") or (0, 0, 0)], scale
 
 
-def _scale_of(head: Any) -> tuple[float, float]:
-    if head.get(_GROUPS):
-        head = item_of(head, 0, "PixelValueTransformationSequence") or {}
-    return float(head.get("RescaleSlope") or 1), float(head.get("RescaleIntercept") or 0)
-
-
-def _derived(head: Any, common: tuple[Any, datetime.datetime], resampled: str) -> Any:
+def _derived(head: Any, series: Any, resampled: str) -> Any:
     """Return the dataset of a new slice or file, without pixels and position."""
     from supple import __version__
 
-    uid, now = common
     made = dataset()
     made.update(head)
-    made.remove_private_tags()
     without(made, _STALE)
     for tag in [tag for tag in made.keys() if tag.group in (*_OVERLAYS, *_CURVES)]:  # noqa: SIM118, not a dict
         del made[tag]
-    source = reference_to(head)
+    source = renewed(made, series)
     source.PurposeOfReferenceCodeSequence = [_code("121322", "Source image for image processing operation")]
-    made.SOPInstanceUID, made.SeriesInstanceUID = new_uid(), uid
-    made.SeriesNumber = series_number(head)
-    made.SeriesDescription = ended(str(head.get("SeriesDescription") or ""), f"bent, {WARNING}")
     made.ImageType = ["DERIVED", "SECONDARY", *list(head.get("ImageType") or ())[2:]]
     before = f"Of a source whose {resampled}. " if resampled else ""
     made.DerivationDescription = f"{before}Bent by Supple {__version__}, a non-rigid deformation. {WARNING}"
     made.DerivationCodeSequence = [_code("113085", "Spatial resampling")]
     made.SourceImageSequence = [source]
     made.ImageComments = f"Bent by Supple: {WARNING}"
-    made.InstanceCreationDate, made.InstanceCreationTime = now.strftime("%Y%m%d"), now.strftime("%H%M%S")
     pydicom = imported()
     made.file_meta = pydicom.dataset.FileMetaDataset()
     made.file_meta.TransferSyntaxUID = pydicom.uid.ExplicitVRLittleEndian
@@ -207,15 +193,21 @@ def _code(value: str, meaning: str) -> Any:
     return dataset(CodeValue=value, CodingSchemeDesignator="DCM", CodeMeaning=meaning)
 
 
-def series_number(head: Any) -> int:
-    """Return a number for a derived series, different from the source's, within 32 bits (VR IS)."""
-    known = int(head.get("SeriesNumber") or 0)
-    return known + (_AFTER if known + _AFTER < 1 << 31 else -_AFTER)
+def renewed(made: Any, series: Any) -> Any:
+    """Make an object a new one of a series with this UID, without private tags; return a reference to what it was."""
+    source, known, now = reference_to(made), int(made.get("SeriesNumber") or 0), datetime.datetime.now()
+    made.remove_private_tags()
+    made.SOPInstanceUID, made.SeriesInstanceUID = new_uid(), series
+    made.SeriesNumber = known + (_AFTER if known + _AFTER < 1 << 31 else -_AFTER)  # within 32 bits (VR IS)
+    made.SeriesDescription = _marked(made.get("SeriesDescription"))
+    made.InstanceCreationDate, made.InstanceCreationTime = now.strftime("%Y%m%d"), now.strftime("%H%M%S")
+    return source
 
 
-def ended(text: str, end: str) -> str:
-    """Return a description followed by ``end``; it is truncated to fit, but never its end."""
-    return f"{text[: _LONGEST - len(end) - 2]}, {end}" if text else end
+def _marked(text: Any) -> str:
+    """Return a description that ends with the warning; it is truncated to fit."""
+    end = f"bent, {WARNING}"
+    return f"{str(text)[: _LONGEST - len(end) - 2]}, {end}" if text else end
 
 
 def _decimal(values: Sequence[float]) -> list[Any]:
@@ -233,7 +225,7 @@ def _set_frames(made: Any, like: Volume, where: tuple[list[Array], Array, tuple[
     if not groups:
         _set_place(made, like, places[0])
         made.GridFrameOffsetVector = _decimal([k * like.geometry.spacing[2] for k in range(count)])
-        made.DoseComment = ended(str(made.get("DoseComment") or ""), f"bent, {WARNING}")
+        made.DoseComment = _marked(made.get("DoseComment"))
         return
     made.ImageType = ["DERIVED", "PRIMARY", *list(made.ImageType)[2:]]
     shared = made.SharedFunctionalGroupsSequence[0] if made.get("SharedFunctionalGroupsSequence") else dataset()

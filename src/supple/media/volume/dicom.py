@@ -7,7 +7,7 @@ import mimetypes
 import os
 import re
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -21,6 +21,7 @@ from supple.media.volume.frames import dataset, frames_of
 from supple.media.volume.frames import head_of as pixelless
 from supple.media.volume.itk import check_voxels, failing, geometry_of, imported, informed
 from supple.space.checks import choice
+from supple.space.geometry import Geometry
 
 _UID, _NUMBER, _TEXT, _PIXEL_SPACING = "0020|000e", "0020|0011", "0008|103e", "0028|0030"
 _THICKNESS, _BETWEEN, _BITS = "0018|0050", "0018|0088", "0028|0100"
@@ -233,16 +234,15 @@ def _frames(path: PathLike, reader: Any, file: PathLike, irregular: str | None) 
         geometry = geometry_of(path, reader)
     else:
         names = [f"frame {k + 1}" for k in range(len(known.places))]
-        stack = known.places, known.direction, min(known.spacing)
-        order, step, direction, uneven = _ordered(path, names, *stack, irregular)
-        geometry = located(path, [*known.spacing, step], known.places[order[0]].tolist(), direction, "LPS")
+        stack = known.places, known.direction, known.spacing
+        order, geometry, uneven = _ordered(path, names, *stack, irregular)
     with failing(path, "DICOM", tuple(reader.GetSize())):
         samples = known.rescaled(imported().GetArrayFromImage(reader.Execute()))
     if order is not None and (np.diff(order) != 1).any():
         samples = samples[order]
     scaling, name = _dose(path, reader), os.path.abspath(file)
     made = Volume(_narrowed(samples, [reader]), geometry, shown(path), "DICOM", header=name, scaling=scaling)
-    return made if uneven is None else _resampled(made, uneven, step)
+    return made if uneven is None else _resampled(made, uneven)
 
 
 def _dose(path: PathLike, reader: Any) -> tuple[float, float]:
@@ -289,16 +289,14 @@ def _stacked(path: PathLike, series: Series, irregular: str | None) -> Volume:
     places = np.array([reader.GetOrigin() for reader in readers])
     if len(readers) > 1:
         told = [shown(Path(name).name) for name in series.paths]
-        stack = places, direction, min(first.GetSpacing()[:2])
-        order, step, direction, uneven = _ordered(path, told, *stack, irregular)
+        order, geometry, uneven = _ordered(path, told, places, direction, first.GetSpacing()[:2], irregular)
     else:
         order, step = np.zeros(1, np.intp), float(first.GetSpacing()[2])
         with contextlib.suppress(ValueError):  # GDCM only knows the distance between slices
             if not _tag(first, _BETWEEN) and (thickness := float(_tag(first, _THICKNESS))) > 0:
                 step = thickness
+        geometry = located(path, [*first.GetSpacing()[:2], step], places[0].tolist(), direction, "LPS")
     names = [series.paths[k] for k in order]
-    spacing = [*first.GetSpacing()[:2], step]
-    geometry = located(path, spacing, places[order][0].tolist(), direction, "LPS")
     reader = sitk.ImageSeriesReader()
     reader.SetImageIO("GDCMImageIO")
     reader.SetFileNames(names)
@@ -311,11 +309,12 @@ def _stacked(path: PathLike, series: Series, irregular: str | None) -> Volume:
         raise unreadable(path, "its slices have several dose grid scalings", "give one file of many frames")
     own = tuple(os.path.abspath(name) for name in names)
     made = Volume(_narrowed(samples, readers), geometry, shown(path), "DICOM", header=own, scaling=scalings.pop())
-    return made if uneven is None else _resampled(made, uneven, step)
+    return made if uneven is None else _resampled(made, uneven)
 
 
-def _resampled(volume: Volume, places: Array, step: float) -> Volume:
+def _resampled(volume: Volume, places: Array) -> Volume:
     """Return a volume with slices at even steps, interpolated linearly from those at ``places`` (mm)."""
+    step = volume.geometry.spacing[2]
     count = round(float(places[-1]) / step) + 1
     at = np.clip(np.searchsorted(places, np.arange(count) * step, "right") - 1, 0, len(places) - 2)
     part = np.clip((np.arange(count) * step - places[at]) / np.diff(places)[at], 0.0, 1.0)
@@ -331,9 +330,9 @@ def _resampled(volume: Volume, places: Array, step: float) -> Volume:
 
 
 def _ordered(
-    path: PathLike, names: list[str], places: Array, direction: Array, pixel: float, irregular: str | None
-) -> tuple[Array, float, Array, Array | None]:
-    """Return the order of slices along their normal, the step, the directions of the axes, and, if uneven, the places.
+    path: PathLike, names: list[str], places: Array, direction: Array, pixel: Sequence[float], irregular: str | None
+) -> tuple[Array, Geometry, Array | None]:
+    """Return the order of slices along their normal, their geometry, and, if they are uneven, the places.
 
     The third axis is the normal, or, if slices are offset sideways (as with a tilted gantry), the line through their
     first pixels. SuppleError if they are unevenly stacked, unless ``irregular`` accepts it.
@@ -342,15 +341,18 @@ def _ordered(
     order = np.argsort(along, kind="stable")
     step, even = _check_steps(path, [names[k] for k in order], along[order], irregular)
     stack = places[order] - places[order][0]
-    upwards, line = along[order] - along[order][0], stack[-1] / np.linalg.norm(stack[-1])
-    if np.abs(stack - np.outer(upwards, direction[:, 2])).max() <= _ASIDE * pixel:
-        return order, step, direction, None if even else upwards
-    lean = float(line @ direction[:, 2])
-    aside = np.abs(stack - np.outer(upwards / lean, line)).max(axis=1)
-    if (worst := float(aside.max())) > _ASIDE * pixel:
-        told = f"its slices are offset sideways, and along no line: {names[order[aside.argmax()]]} by {worst:.3g} mm"
-        raise unreadable(path, told, "resample it first")
-    return order, step / lean, np.column_stack([direction[:, :2], line]), None if even else upwards / lean
+    upwards, line, most = along[order] - along[order][0], stack[-1] / np.linalg.norm(stack[-1]), _ASIDE * min(pixel)
+    if np.abs(stack - np.outer(upwards, direction[:, 2])).max() > most:
+        lean = float(line @ direction[:, 2])
+        step, upwards, direction = step / lean, upwards / lean, np.column_stack([direction[:, :2], line])
+        aside = np.abs(stack - np.outer(upwards, line)).max(axis=1)
+        if (worst := float(aside.max())) > most:
+            told = (
+                f"its slices are offset sideways, and along no line: {names[order[aside.argmax()]]} by {worst:.3g} mm"
+            )
+            raise unreadable(path, told, "resample it first")
+    geometry = located(path, [*pixel, step], places[order[0]].tolist(), direction, "LPS")
+    return order, geometry, None if even else upwards
 
 
 def _require_alike(path: PathLike, first: tuple[str, Any], other: tuple[str, Any]) -> None:

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from supple.errors import need
+from supple.errors import needed
 from supple.media.files import PathLike, unreadable
 from supple.media.volume.data import Array
 
@@ -49,10 +49,7 @@ class Frames:
 
 def imported() -> Any:
     """Return pydicom, imported at the first use."""
-    need("volume", "DICOM files", "pydicom")
-    import pydicom
-
-    return pydicom
+    return needed("volume", "DICOM files", "pydicom")
 
 
 def dataset(**values: Any) -> Any:

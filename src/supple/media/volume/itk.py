@@ -47,24 +47,21 @@ def silence(own: str = "") -> Iterator[None]:
 
     With ``own``, a regular expression, only matching lines are suppressed: the output of other threads is passed on.
     """
-    with _SILENCE, contextlib.ExitStack() as stack:
+    with _SILENCE, tempfile.TemporaryFile() as caught:
         try:
             kept = os.dup(2)
         except OSError:  # standard error is closed
             yield
             return
-        stack.callback(os.close, kept)
-        caught = stack.enter_context(tempfile.TemporaryFile())
-
-        def back() -> None:
+        os.dup2(caught.fileno(), 2)
+        try:
+            yield
+        finally:
             os.dup2(kept, 2)
+            os.close(kept)
             caught.seek(0)
             lines = caught.readlines() if own else []
             os.write(2, b"".join(line for line in lines if not re.match(own.encode(), line)))
-
-        stack.callback(back)
-        os.dup2(caught.fileno(), 2)
-        yield
 
 
 def read(path: PathLike, *, header_only: bool = False) -> Volume:

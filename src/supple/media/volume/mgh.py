@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from supple.errors import need, shown
+from supple.errors import needed, shown
 from supple.media.files import PathLike, replacing, unreadable, unwritable
 from supple.media.volume.data import TO_RAS, Array, Volume, native, placed, reading
 from supple.media.volume.nifti import filled, opened, writing
@@ -18,10 +18,7 @@ _TYPES = ("uint8", "int16", "int32", "float32")
 
 
 def _imported() -> Any:
-    need("volume", "MGH files", "nibabel")
-    from nibabel.freesurfer import mghformat
-
-    return mghformat
+    return needed("volume", "MGH files", "nibabel").freesurfer.mghformat
 
 
 def read(path: PathLike, *, header_only: bool = False) -> Volume:

@@ -15,7 +15,7 @@ from typing import IO, Any, cast
 
 import numpy as np
 
-from supple.errors import VolumeWarning, need, shown
+from supple.errors import VolumeWarning, needed, shown
 from supple.media.files import PathLike, head_of, replacing, unreadable
 from supple.media.volume.data import (
     DTYPES,
@@ -47,16 +47,14 @@ def imported() -> Any:
     pydicom is hidden during the import: nibabel would import it for a rare extension of NIfTI, which takes seven times
     as long as nibabel itself. Without it, these extensions are bytes, which are copied.
     """
-    need("volume", "NIfTI files", "nibabel")
     hidden = not sys.modules.keys() & {"nibabel", "pydicom"}
     if hidden:
         sys.modules["pydicom"] = None  # type: ignore[assignment]
     try:
-        import nibabel
+        return needed("volume", "NIfTI files", "nibabel")
     finally:
         if hidden:
             del sys.modules["pydicom"]
-    return nibabel
 
 
 def read(path: PathLike, *, header_only: bool = False) -> Volume:
@@ -290,11 +288,7 @@ def write(path: PathLike, samples: Array, like: Volume, *, force: bool = False) 
 
     A volume from NIfTI keeps its header and its byte order; others get their geometry as sform and qform.
     """
-    header = _copied(like.header, samples) if like.format == "NIfTI" and like.header is not None else None
-    if header is not None and like.regridded:
-        header = _placed(header, like)
-    if header is None:
-        header = _made(samples, like)
+    header = _copied(samples, like) or _made(samples, like)
     colours = int(header["datatype"]) in _COLOURS
     stored = samples if colours or samples.ndim == 3 or like.series else np.moveaxis(samples, -1, 0)
     dtype = samples.dtype.newbyteorder(header.endianness)
@@ -317,25 +311,22 @@ def writing(temporary: Path, name: str) -> Iterator[IO[bytes]]:
             yield packed  # type: ignore[misc]
 
 
-def _copied(known: Any, samples: Array) -> Any:
-    """Return a copy of a header with the dtype of new samples, for a single file (.nii)."""
+def _copied(samples: Array, like: Volume) -> Any:
+    """Return a copy of the header with the dtype and the grid of new samples; None if there is none for these."""
+    known, sizes = like.header if like.format == "NIfTI" else None, like.sizes
+    coloured = known is not None and int(known["datatype"]) in _COLOURS
+    if known is None or (coloured and samples.dtype != np.uint8) or max(sizes) > np.iinfo(known["dim"].dtype).max:
+        return None
     header = known.copy()
-    if int(header["datatype"]) not in _COLOURS or samples.dtype != np.uint8:
-        if int(header["datatype"]) in _COLOURS:
-            return None
+    if not coloured:
         header.set_data_dtype(samples.dtype)
     if "glmax" in header:  # the range of the source's values
         header["glmax"] = header["glmin"] = 0
     header["magic"] = header.single_magic
     header["vox_offset"] = header.single_vox_offset + header.extensions.get_sizeondisk()
-    return header
-
-
-def _placed(header: Any, like: Volume) -> Any:
-    """Return a header with the sizes and the geometry of other voxels; None if it cannot hold such sizes."""
-    sizes, unit = like.sizes, _MILLIMETRES.get(int(header["xyzt_units"]) & 7, 1.0)
-    if max(sizes) > np.iinfo(header["dim"].dtype).max:
-        return None
+    if not like.regridded:
+        return header
+    unit = _MILLIMETRES.get(int(header["xyzt_units"]) & 7, 1.0)
     if int(header["dim"][3]) != sizes[2] or int(header["dim"][0]) < 3:  # describe the scan of its slices
         header["slice_start"] = header["slice_end"] = header["slice_code"] = header["slice_duration"] = 0
     header["dim"][0] = max(int(header["dim"][0]), 3)

@@ -15,23 +15,14 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from supple.errors import VolumeWarning, need, said, shown
+from supple.errors import VolumeWarning, needed, said, shown
 from supple.media.files import PathLike, refusing, replacing, unreadable, unwritable
-from supple.media.volume.data import Array, Volume, native
+from supple.media.volume.data import MILLIMETRES, Array, Volume, native
 from supple.space.geometry import Geometry
 
 SUFFIXES = (".tif", ".tiff")
 _LETTERS = {"T": "t", "C": "c", "S": "c", "Z": "z", "Q": "z", "I": "z", "Y": "y", "X": "x"}  # tifffile's axes
 _CHANNELS = "channels"  # `Volume.header` where components are stored as pages
-MILLIMETRES = {
-    **dict.fromkeys(("m", "meter", "metre"), 1000.0),
-    **dict.fromkeys(("cm", "centimeter"), 10.0),
-    **dict.fromkeys(("mm", "millimeter"), 1.0),
-    **dict.fromkeys(("um", "micron", r"\u00b5m", "\u00b5m", "\u03bcm", "micrometer"), 1e-3),
-    **dict.fromkeys(("nm", "nanometer"), 1e-6),
-    **dict.fromkeys(("inch", "in"), 25.4),
-}
-"""Millimetres in a unit, by its name in lower case."""
 _SECONDS = {"s": 1.0, "ms": 1e-3, "\u00b5s": 1e-6, "min": 60.0, "h": 3600.0}
 
 
@@ -56,11 +47,9 @@ def read(path: PathLike) -> Volume:
     Channels become components, and times a series. SuppleError if it is not a TIFF, or damaged; if its pages differ; or
     if it has other axes, or both times and channels.
     """
-    import pyvips
-
     from supple.media.image.headers import facts
     from supple.media.image.tiff import Page
-    from supple.media.image.vips import apart, decoded, opened
+    from supple.media.image.vips import apart, decoded, opened, sequential
     from supple.media.image.vips import reading as decoding
 
     image, form = opened(path)
@@ -83,11 +72,7 @@ def read(path: PathLike) -> Volume:
         raise unreadable(path, "it holds channels or colours of several times", "bend it to a Zarr store")
     first, last = min(own), max(own)
     with decoding(path):
-        source = pyvips.Source.new_from_file(os.fsencode(path))
-        # libvips only warns of damaged tiles
-        options = {"page": first, "n": last - first + 1, "access": "sequential"}
-        options["fail_on"] = "warning" if Page(path).tiled else "error"
-        tall = apart(lambda: pyvips.Image.new_from_source(source, "", **options))
+        tall = apart(lambda: sequential(path, fail_on=Page(path).fails_on, page=first, n=last - first + 1))
         samples = apart(lambda: decoded(tall, 1), tall)
     samples = samples.reshape(last - first + 1, -1, *samples.shape[1:])
     if own != list(range(first, last + 1)):
@@ -119,9 +104,7 @@ def series_of(path: PathLike, *, alike: bool = False) -> Iterator[tuple[Any, Any
     Further images, and messages that tifffile logs, become warnings. SuppleError if it is damaged or incomplete; or,
     with ``alike``, if pages differ in a file without metadata that declares several images.
     """
-    need("volume", "TIFFs of several pages", "tifffile")
-    import tifffile
-
+    tifffile = needed("volume", "TIFFs of several pages", "tifffile")
     with contextlib.ExitStack() as stack:
         with reading(path), _heard(path):
             file = stack.enter_context(tifffile.TiffFile(path))
@@ -257,9 +240,7 @@ def write(path: PathLike, samples: Array, like: Volume, *, force: bool = False) 
     x, y, z = (step / 10 for step in like.geometry.spacing)  # TIFF's unit is the centimetre
     image = wrapped(tall, meant(array.dtype, tall.shape[2] if tall.ndim == 3 else 1, ""), 32)
     if Path(Path(path).stem).suffix.lower() == ".ome":
-        need("volume", "OME-TIFF", "tifffile")
-        import tifffile
-
+        tifffile = needed("volume", "OME-TIFF", "tifffile")
         sizes = {f"PhysicalSize{axis}": step for axis, step in zip("XYZ", like.geometry.spacing, strict=True)}
         units = {f"{name}Unit": "mm" for name in sizes}
         pace = {"TimeIncrement": like.interval} if like.series else {}

@@ -45,10 +45,6 @@ def read(path: PathLike, layout: RawLayout | None) -> Volume:
         after = f" after {layout.offset} bytes" if layout.offset else ""
         told = f"{width} x {height} x {depth} voxels of {dtype.name}{after} take {wanted} bytes, and it has {found}"
         raise unreadable(path, told, "give a whole copy of it, or other --shape and --dtype (RawLayout)")
-    return _mapped(path, layout)
-
-
-def _mapped(path: PathLike, layout: RawLayout) -> Volume:
     with reading(path):
         samples = np.memmap(path, layout.dtype, "r", layout.offset, layout.shape[::-1])
         return Volume(native(samples), Geometry(layout.spacing), shown(path), "raw")
