@@ -626,48 +626,31 @@ void Plan<D>::fill(const Leaf<D>& leaf, const Grid& grid, int y, int from, int t
         inner = std::clamp((int)floor((face - grid.offset[0]) / grid.step[0]) + 1 - from, 0, n);
         for (int i = inner; i < n; i++) s[i] = (float)(face_of(axes[0]) - leaf.x);
     }
-    const auto each = [&](const auto n) {  // with a constant number, loops have no ends of their own
-        for (int d = 0; d < D; d++) {
-            // In samples of the grid: (p - offset) / step.
-            const int step = d < 2 ? grid.step[d] : 1;
-            int anchor = leaf.anchor[d];
-            float scale = 1, shift = 0, a[4], b[4];
-            if (d < 2 && (step > 1 || grid.offset[d] != 0)) {
-                double base = (leaf.anchor[d] - grid.offset[d]) / step;
-                anchor = (int)floor(base);
-                scale = 1.0f / step;
-                shift = (float)(base - anchor);
-            }
-            for (int i = 0; i < 4; i++) {
-                const float* c = leaf.c[d] + i;
-                a[i] = c[0] + t * (c[4] + t * (c[8] + t * c[12]));
-                b[i] = c[4] + t * (2 * c[8] + 3 * t * c[12]);
-            }
-            for (int i = 0; i < n; i++) {
-                const float x = (a[0] + s[i] * (a[1] + s[i] * (a[2] + s[i] * a[3]))) * scale + shift;
-                const float whole = floored(x);
-                row.whole[d][at + i] = (int)whole + anchor;
-                row.part[d][at + i] = x - whole;
-            }
-            if (d < 2 ? !row.sloped : !row.averaged) continue;
-            const float to_down = (float)grid.step[1] / step, to_across = stride / step, *r = leaf.depth;
-            for (int i = 0; i < n; i++) {
-                const float across = (a[1] + s[i] * (2 * a[2] + 3 * s[i] * a[3])) * to_across;
-                const float down = (b[0] + s[i] * (b[1] + s[i] * (b[2] + s[i] * b[3]))) * to_down;
-                if (d < 2) {
-                    row.across[d][at + i] = across;
-                    row.down[d][at + i] = down;
-                } else {
-                    const float own = r[0] + s[i] * r[1] + t * (r[2] + s[i] * r[3]);
-                    row.depth2[at + i] = across * across + down * down + own * own;
-                }
-            }
+    float along[D][4], rise[D][4];
+    for (int d = 0; d < D; d++)
+        for (int i = 0; i < 4; i++) {
+            const float* b = leaf.c[d] + i;
+            along[d][i] = b[0] + t * (b[4] + t * (b[8] + t * b[12]));
+            rise[d][i] = b[4] + t * (2 * b[8] + 3 * t * b[12]);
         }
-    };
-    if (n == ROOT)
-        each(std::integral_constant<int, ROOT>());
-    else
-        n == ROOT / 2 ? each(std::integral_constant<int, ROOT / 2>()) : each(n);
+    for (int d = 0; d < D; d++) {
+        // In samples of the grid: (p - offset) / step.
+        int anchor = leaf.anchor[d];
+        float scale = 1, shift = 0;
+        if (d < 2 && (grid.step[d] > 1 || grid.offset[d] != 0)) {
+            double base = (leaf.anchor[d] - grid.offset[d]) / grid.step[d];
+            anchor = (int)floor(base);
+            scale = 1.0f / grid.step[d];
+            shift = (float)(base - anchor);
+        }
+        const float* a = along[d];
+        for (int i = 0; i < n; i++) {
+            const float x = (a[0] + s[i] * (a[1] + s[i] * (a[2] + s[i] * a[3]))) * scale + shift;
+            const float whole = floored(x);
+            row.whole[d][at + i] = (int)whole + anchor;
+            row.part[d][at + i] = x - whole;
+        }
+    }
     for (int i = inner; i < n; i++) {  // no displacement across a face
         row.whole[0][at + i] = from + i;
         row.part[0][at + i] = 0;
@@ -675,6 +658,24 @@ void Plan<D>::fill(const Leaf<D>& leaf, const Grid& grid, int y, int from, int t
     for (int i = 0; on_face && i < n; i++) {
         row.whole[1][at + i] = y;
         row.part[1][at + i] = 0;
+    }
+    if (!row.sloped) return;
+    for (int d = 0; d < 2; d++) {
+        const float *a = along[d], *b = rise[d], to_down = (float)grid.step[1] / grid.step[d],
+                    to_across = stride / grid.step[d];
+        for (int i = 0; i < n; i++) {
+            row.across[d][at + i] = (a[1] + s[i] * (2 * a[2] + 3 * s[i] * a[3])) * to_across;
+            row.down[d][at + i] = (b[0] + s[i] * (b[1] + s[i] * (b[2] + s[i] * b[3]))) * to_down;
+        }
+    }
+    if (D == 3 && row.averaged) {
+        const float *a = along[D - 1], *b = rise[D - 1], *r = leaf.depth, down = (float)grid.step[1];
+        for (int i = 0; i < n; i++) {
+            float across = (a[1] + s[i] * (2 * a[2] + 3 * s[i] * a[3])) * stride;
+            float dt = (b[0] + s[i] * (b[1] + s[i] * (b[2] + s[i] * b[3]))) * down;
+            float own = r[0] + s[i] * r[1] + t * (r[2] + s[i] * r[3]);
+            row.depth2[at + i] = across * across + dt * dt + own * own;
+        }
     }
 }
 

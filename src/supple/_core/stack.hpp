@@ -180,14 +180,14 @@ struct Putting {
             for (int i = from; i < to; i++) numbers[i] = Pixel<float>{v[0][i - k], v[C - 1][i - k]};
             return;
         }
-        T own[BLOCK * C], *all = to - from == BLOCK ? out + k * C : own;
+        T all[BLOCK * C];
         if constexpr (sizeof(T) == 4)
             for (int l = 0; l < BLOCK; l++)
                 for (int c = 0; c < C; c++) all[C * l + c] = v[c][l];
         else {
             __m128i s = integers(v[0]), t = C > 1 ? integers(v[C - 1]) : s;
             if constexpr (C == 1)
-                memcpy(all, &s, sizeof own);
+                memcpy(all, &s, sizeof all);
             else if constexpr (sizeof(T) == 1)
                 _mm_storeu_si128((__m128i*)all, _mm_unpacklo_epi8(s, t));
             else {
@@ -195,7 +195,10 @@ struct Putting {
                 _mm_storeu_si128((__m128i*)all + 1, _mm_unpackhi_epi16(s, t));
             }
         }
-        if (all == own) memcpy(out + from * C, own + (from - k) * C, (to - from) * C * sizeof(T));
+        if (to - from == BLOCK)
+            memcpy(out + k * C, all, sizeof all);
+        else
+            memcpy(out + from * C, all + (from - k) * C, (to - from) * C * sizeof(T));
     }
     INLINE __m128i integers(Eight v) const {
         __m256i s = _mm256_cvtps_epi32(_mm256_min_ps((__m256)v, _mm256_set1_ps(high)));
