@@ -186,7 +186,7 @@ class TestRefusals:
         d = Document(SHAPE, recipe=Recipe(on_fold="damp", strokes=(STRONG,)))
         with pytest.raises(FoldError):
             d.set_rest(on_fold="error")
-        assert d.state.on_fold == "damp"
+        assert d.state.rest.on_fold == "damp"
         d.hide(0)
         d.set_rest(on_fold="error")
         with pytest.raises(FoldError):

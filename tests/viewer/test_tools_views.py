@@ -189,7 +189,7 @@ class TestOrbit:
         x, y, away = STAGE.project(camera, target) or (0, 0, 0)
         moved = orbit.pan(camera, 5, -3, STAGE)
         assert STAGE.project(moved, target) == pytest.approx((x + 5, y - 3, away), abs=0.1)
-        assert STAGE.distance(moved) == pytest.approx(STAGE.distance(camera))
+        assert STAGE.view(moved).distance == pytest.approx(STAGE.view(camera).distance)
 
     def test_never_looks_past_the_volume(self) -> None:
         camera = orbit.pan(Camera(), 1e6, 1e6, STAGE)
@@ -197,12 +197,12 @@ class TestOrbit:
         assert all(0 <= t <= n - 1 for t, n in zip(camera.target, (50, 60, 40), strict=True))
 
     def test_goes_nearer_and_away(self) -> None:
-        fitted = STAGE.distance(Camera())
-        assert STAGE.distance(orbit.dolly(Camera(), 100, STAGE)) == pytest.approx(fitted * 1.1)
+        fitted = STAGE.view(Camera()).distance
+        assert STAGE.view(orbit.dolly(Camera(), 100, STAGE)).distance == pytest.approx(fitted * 1.1)
         two = orbit.dolly(orbit.dolly(Camera(), -100, STAGE), -150, STAGE)
-        assert STAGE.distance(two) == pytest.approx(STAGE.distance(orbit.dolly(Camera(), -250, STAGE)))
-        assert STAGE.distance(orbit.dolly(Camera(), -1e5, STAGE)) == 1
-        assert STAGE.distance(orbit.dolly(Camera(), 1e4, STAGE)) == pytest.approx(10 * fitted)
+        assert STAGE.view(two).distance == pytest.approx(STAGE.view(orbit.dolly(Camera(), -250, STAGE)).distance)
+        assert STAGE.view(orbit.dolly(Camera(), -1e5, STAGE)).distance == 1
+        assert STAGE.view(orbit.dolly(Camera(), 1e4, STAGE)).distance == pytest.approx(10 * fitted)
 
 
 class TestPlayback:

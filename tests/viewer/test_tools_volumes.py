@@ -77,7 +77,7 @@ class TestVolumes:
         found = tools.stage.project(tools.view, middle)
         assert found is not None
         assert found[:2] == pytest.approx((230, 140), abs=0.5)
-        away = tools.stage.distance(tools.view)
+        away = tools.stage.view(tools.view).distance
         wheel(tools, -100)
         assert tools.view.distance == pytest.approx(away / 1.1)
         tools.radius = 8

@@ -320,7 +320,7 @@ def test_labels_lie_over_an_image_with_their_names(gpu: Gpu, tmp_path: Path, tab
     options = {"segmentation": DATA / "brain.nii.gz", "label_colours": tmp_path / "labels.txt"}
     view, hand = opened(DATA / "head.nii.gz", recipe, size=(1280, 800), **options)
     tools, over = view.tools, view.slices.segmentation
-    assert over.names[1] == name
+    assert over.colours.names[1] == name
     labels = volumes.read(DATA / "brain.nii.gz").samples
     bent = view.document.deformation.warp(labels, filter="nearest")
     assert (bent != labels).any()

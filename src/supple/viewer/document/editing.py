@@ -20,7 +20,7 @@ from supple.space.domain import Domain
 from supple.space.freezing import Freeze
 from supple.space.geometry import Geometry
 from supple.space.straighten import Straighten
-from supple.strokes import CoordinateSpace, FoldPolicy, Recipe, Stroke, last_freeze, spoken
+from supple.strokes import CoordinateSpace, Recipe, Stroke, last_freeze, spoken
 from supple.viewer.document import words
 from supple.viewer.document.keyframes import animated, edited
 from supple.viewer.document.landmarks import Landmarks
@@ -45,35 +45,15 @@ class State:
     made_by: str = field(default="", compare=False)  # the step that led here, in words
     marks: Landmarks | None = None  # the landmarks of a volume
 
-    @classmethod
-    def of(cls, recipe: Recipe, space: CoordinateSpace | None = None) -> Self:
-        """Return the state of a recipe of samples, with nothing selected, and its space for saving."""
-        rest = replace(recipe, strokes=(), size=None, space=space, time_scale=None)
-        return cls(recipe.strokes, rest, made_by="Open a recipe")
-
     @property
     def recipe(self) -> Recipe:
         """The recipe of this state, without its space: points are samples."""
         return replace(self.rest, space=None, strokes=self.strokes)
 
     @property
-    def on_fold(self) -> FoldPolicy:
-        """The policy for strokes that would fold the image."""
-        return self.rest.on_fold
-
-    @property
     def mask(self) -> Freeze | None:
         """The freeze mask that the next stroke is subject to."""
         return last_freeze(self.strokes) or self.rest.freeze
-
-    @property
-    def without_freeze(self) -> Self:
-        """The state without a freeze at the end of the list."""
-        last = self.strokes[-1] if self.strokes else None
-        if last is None or last.brush != "freeze" or last.hidden:
-            return self
-        count = len(self.strokes) - 1
-        return replace(self, strokes=self.strokes[:-1], selected=None if self.selected == count else self.selected)
 
     def with_stroke(self, i: int, stroke: Stroke) -> Self:
         """Return a state with a stroke replaced."""
@@ -400,7 +380,10 @@ class Document:
 
         Before the first stroke, it is the freeze mask of the recipe. A mask that freezes nothing counts as None.
         """
-        state = replace(self.state.without_freeze, made_by=words.freezing(self.state.mask, freeze))
+        state = replace(self.state, made_by=words.freezing(self.state.mask, freeze))
+        if state.strokes and state.strokes[-1].brush == "freeze" and not state.strokes[-1].hidden:
+            selected = None if state.selected == len(state.strokes) - 1 else state.selected
+            state = replace(state, strokes=state.strokes[:-1], selected=selected)
         mask = None if freeze is None or freeze.is_free else freeze
         if not state.strokes:
             self._edit(replace(state, rest=replace(state.rest, freeze=mask)))
@@ -436,7 +419,9 @@ class Document:
         self._show(replace(self._now, state=self.steps[self.step]))
 
     def _state(self, recipe: Recipe) -> State:
-        return State.of(self.fitted(recipe), recipe.space if recipe.is_world else None)
+        fitted, space = self.fitted(recipe), recipe.space if recipe.is_world else None
+        rest = replace(fitted, strokes=(), size=None, space=space, time_scale=None)
+        return State(fitted.strokes, rest, made_by="Open a recipe")
 
     def fitted(self, recipe: Recipe) -> Recipe:
         """Return a recipe in samples of this medium, scaled if its size differs; SuppleError if it does not fit."""

@@ -73,10 +73,8 @@ def _diamond(lines: imgui.ImDrawList, at: Pair, colour: int, count: int) -> None
     x, y = at
     if count > _MANY:
         lines.add_rect_filled((x - 1.5, y - 1.5), (x + 1.5, y + 1.5), colour)
-        return
-    corners: list[Any] = [(x, y - 4.5), (x + 4.5, y), (x, y + 4.5), (x - 4.5, y)]
-    lines.add_convex_poly_filled(corners, colour)
-    lines.add_polyline([*corners, corners[0]], theme.DARK, 1.0, 0)
+    else:
+        theme.diamond(lines, at, 4.5, colour)
 
 
 def lane(view: View, tools: VideoTools, size: Pair) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Any
 
 from imgui_bundle import imgui
 
@@ -60,12 +59,8 @@ def draw(
             entries.append(("" if ours else name, at, OTHER, away, 0.0))
     taken += [(x - 5, y - 5, x + 5, y + 5) for _, (x, y), _, away, _ in entries if away <= 0.5]
     for name, at, colour, away, deep in entries:
-        faint, corners = colour & 0x90FFFFFF, _corners(at)
-        if away > 0.5 or not deep <= _BURIED:
-            lines.add_polyline([*corners, corners[0]], faint, 1.5, 0)
-        else:
-            lines.add_convex_poly_filled(corners, colour)
-            lines.add_polyline([*corners, corners[0]], theme.DARK, 1.5, 0)
+        faint, full = colour & 0x90FFFFFF, away <= 0.5 and deep <= _BURIED
+        theme.diamond(lines, at, 5.0, colour if full else faint, 1.5, full=full)
         if away <= 0.5 and name:
             said = f"{name}  {deep:.0f} mm deep" if deep > _BURIED else name
             size = imgui.calc_text_size(said)
@@ -101,10 +96,6 @@ def _depth(tools: VolumeTools, at: Pair, point: tuple[float, ...]) -> float:
 def _way(lines: imgui.ImDrawList, start: Pair, end: Pair, colour: int) -> None:
     theme.outlined(lines, ((start, end),), colour & 0x90FFFFFF)
     lines.add_circle(start, 2.5, colour & 0x90FFFFFF, 0, 1.0)
-
-
-def _corners(at: Pair) -> list[Any]:
-    return [imgui.ImVec2(at[0] + a, at[1] + b) for a, b in ((0, -5), (5, 0), (0, 5), (-5, 0))]
 
 
 def _room(taken: list[Box], at: Pair, wide: float, high: float, place: Place) -> tuple[float, float, bool]:

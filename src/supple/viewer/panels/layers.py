@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -47,11 +46,6 @@ class Segmentation:
     def __post_init__(self) -> None:
         self.labels = tuple(int(k) for k in labels_in(self.volume.samples))
         self.shades = self.colours.of(self.labels)  # sRGB and opacity (N, 4), from 0 to 1
-
-    @property
-    def names(self) -> Mapping[int, str]:
-        """The names of the labels that have one."""
-        return self.colours.names
 
     @property
     def look(self) -> tuple[object, ...]:

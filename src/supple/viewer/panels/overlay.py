@@ -8,7 +8,7 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from imgui_bundle import imgui
+from imgui_bundle import imgui, imgui_ctx
 
 from supple.deformation import Deformation
 from supple.engine.sampling import DEFAULT
@@ -466,9 +466,8 @@ def _timeline(view: View, stage: VideoStage) -> None:
     most = f"{last} / {last}   {last / stage.rate:.2f} s"
     beside = imgui.calc_text_size(most).x + imgui.calc_text_size("loop").x + imgui.get_frame_height() + 44
     imgui.set_next_item_width(max(80.0, imgui.get_content_region_avail().x - beside))
-    imgui.push_style_color(imgui.Col_.slider_grab, theme.TEXT)
-    changed, frame = imgui.slider_int("##frame", playback.frame, 0, last, "")
-    imgui.pop_style_color()
+    with imgui_ctx.push_style_color(imgui.Col_.slider_grab, imgui.ImVec4(*theme.TEXT)):
+        changed, frame = imgui.slider_int("##frame", playback.frame, 0, last, "")
     if changed:
         playback.seek(frame)
     _marked(playback)

@@ -7,7 +7,7 @@ from dataclasses import replace
 from functools import partial
 from typing import Any
 
-from imgui_bundle import imgui
+from imgui_bundle import imgui, imgui_ctx
 
 from supple.engine.sampling import BETWEEN
 from supple.errors import shown
@@ -307,9 +307,7 @@ def list_keys(view: View) -> None:
             imgui.table_next_column()
             imgui.text(keys)
             imgui.table_next_column()
-            imgui.push_text_wrap_pos(0.0)
-            imgui.text(what)
-            imgui.pop_text_wrap_pos()
+            imgui.text_wrapped(what)
         imgui.end_table()
     imgui.end()
     view.tools.listing = bool(stays)
@@ -327,17 +325,15 @@ def _history(view: View) -> None:
     steps, now, compared, wide = document.steps, document.step, document.compared_step, imgui.calc_text_size("A").x
     for k in rows(view, "history", len(steps), 7, now, text=True):
         marked = k == compared
-        imgui.push_style_color(imgui.Col_.text, theme.TEXT if marked else theme.FAINT)
-        if imgui.selectable(f"A###mark {k}", marked, size=(wide, 0))[0] and not document.dragging:
-            view.attempt(partial(_compare, view, None if marked else k))
-        imgui.pop_style_color()
+        with imgui_ctx.push_style_color(imgui.Col_.text, imgui.ImVec4(*(theme.TEXT if marked else theme.FAINT))):
+            if imgui.selectable(f"A###mark {k}", marked, size=(wide, 0))[0] and not document.dragging:
+                view.attempt(partial(_compare, view, None if marked else k))
         hint(_MARKED if marked else _MARK)
         imgui.same_line()
         name = steps[k].made_by if k else "Start"
-        imgui.push_style_color(imgui.Col_.text, theme.TEXT if k <= now else theme.FAINT)
-        if imgui.selectable(f"{name}###step {k}", k == now)[0] and not document.dragging:
-            view.attempt(partial(document.go, k))
-        imgui.pop_style_color()
+        with imgui_ctx.push_style_color(imgui.Col_.text, imgui.ImVec4(*(theme.TEXT if k <= now else theme.FAINT))):
+            if imgui.selectable(f"{name}###step {k}", k == now)[0] and not document.dragging:
+                view.attempt(partial(document.go, k))
         hint("Click to go back to it" if k < now else "Click to go to it" if k > now else "What is seen now")
     if document.compared is not None and button("Compare with the original", tip=_BACK):
         view.attempt(partial(_compare, view, None))

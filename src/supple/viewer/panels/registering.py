@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import partial
 
 import numpy as np
-from imgui_bundle import imgui
+from imgui_bundle import imgui, imgui_ctx
 
 from supple.viewer.document.landmarks import Landmarks
 from supple.viewer.panels import theme
@@ -85,7 +85,7 @@ def _labels(view: View, known: Segmentation) -> None:
         imgui.color_button("##colour", (red, green, blue, 1.0), imgui.ColorEditFlags_.no_tooltip, (size, size))
         imgui.same_line()
         imgui.align_text_to_frame_padding()
-        imgui.text(f"{number}  {known.names.get(number, '')}".rstrip())
+        imgui.text(f"{number}  {known.colours.names.get(number, '')}".rstrip())
 
 
 def _landmarks(view: View, tools: VolumeTools, marks: Landmarks) -> None:
@@ -115,18 +115,17 @@ def _list(view: View, tools: VolumeTools, marks: Landmarks, residuals: np.ndarra
             view.attempt(partial(view.document.mark, marks.without(i), f"Remove landmark {name}"))
         imgui.same_line()
         whole = bool(np.isfinite(residuals[i]))
-        imgui.push_style_color(imgui.Col_.text, theme.TEXT if whole else theme.FAINT)
         said = f"{residuals[i]:.2f} mm" if whole else "one point"
-        at = imgui.get_content_region_avail().x - imgui.calc_text_size(said).x
-        if entry(f"{name}##landmark", False, max(at - 8, 20)):
-            where = marks.moved(view.document.deformation)[i]
-            tools.sight = tools.sight.at(tuple(where if np.isfinite(where[0]) else marks.fixed[i]), tools.sizes)
-            view.refresh()
-        hint(f"{before[i]:.2f} mm before strokes; click to go there" if whole else "Click to go there")
-        imgui.same_line()
-        imgui.align_text_to_frame_padding()
-        imgui.text(said)
-        imgui.pop_style_color()
+        with imgui_ctx.push_style_color(imgui.Col_.text, imgui.ImVec4(*(theme.TEXT if whole else theme.FAINT))):
+            at = imgui.get_content_region_avail().x - imgui.calc_text_size(said).x
+            if entry(f"{name}##landmark", False, max(at - 8, 20)):
+                where = marks.moved(view.document.deformation)[i]
+                tools.sight = tools.sight.at(tuple(where if np.isfinite(where[0]) else marks.fixed[i]), tools.sizes)
+                view.refresh()
+            hint(f"{before[i]:.2f} mm before strokes; click to go there" if whole else "Click to go there")
+            imgui.same_line()
+            imgui.align_text_to_frame_padding()
+            imgui.text(said)
 
 
 def _pull(view: View, tools: VolumeTools, marks: Landmarks) -> None:

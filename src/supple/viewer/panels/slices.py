@@ -61,17 +61,15 @@ class Slices:
         said = self.told(self.sampled(deformation, plane.axis, index)[at])
         if self._fixed is not None:
             said += f"   fixed {self._fixed.sampled(None, plane.axis, index, self._grid)[at]:.6g}"
-        if self._over is not None and self.segmentation is not None:
-            label = int(self._over.sampled(deformation, plane.axis, index, self._grid)[at])
-            if label:
-                said += f"   label {label}" + (f" ({name})" if (name := self.segmentation.names.get(label)) else "")
+        over = None if self._over is None else self._over.sampled(deformation, plane.axis, index, self._grid)
+        if over is not None and self.segmentation is not None and (label := int(over[at])):
+            said += f"   {_named(label, self.segmentation.colours)}"
         return said
 
     def told(self, value: Any) -> str:
         """Return a value with its unit, or the name of a label."""
         if self.labels:
-            name = self._colours.names.get(int(value)) if np.isfinite(value) else None
-            return f"label {value:g}" + (f" ({name})" if name else "")
+            return _named(value, self._colours)
         if self.unit == "label":  # mixed where labels meet
             return f"label {value:.6g}"
         return f"{value:.6g} {self.unit}".rstrip()
@@ -114,15 +112,11 @@ class Slices:
         look = sight.window, sight.fixed, compared and compared.look, over and over.look
         if known is not None and known[2] == look and all(a is b for a, b in zip(known[1], layers, strict=True)):
             return False
-        rest = list(layers[1:])
-        if compared is None:
-            made = self.shaded(layers[0], sight.window)
-        elif key[0] >= FIXED:
-            made = greys(layers[0], sight.fixed)
-        else:
+        rest, fixed = list(layers[1:]), key[0] >= FIXED
+        made = greys(layers[0], sight.fixed) if fixed else self.shaded(layers[0], sight.window)
+        if compared is not None and not fixed:
             rows, columns = sorted((plane.across, plane.down), reverse=True)
             steps = tools.geometry.spacing[rows], tools.geometry.spacing[columns]
-            made = self.shaded(layers[0], sight.window)
             made = compared.compared(made, greys(rest.pop(0), sight.fixed), steps)
         if over is not None and rest:
             made = over.tinted(made, rest[0])
@@ -166,6 +160,12 @@ class Slices:
                 self._screens[k, format] = Screen(self._gpu, format, "nearest" if self.labels else "linear")
             place = (low[0], low[1], columns, rows)
             self._screens[k, format].draw(drawing, self._textures[k, False][0], second, cut, place, part)
+
+
+def _named(value: Any, colours: LabelColours) -> str:
+    """Return the number of a label, with its name if it has one."""
+    name = colours.names.get(int(value)) if np.isfinite(value) else None
+    return f"label {value:g}" + (f" ({name})" if name else "")
 
 
 def first_window(volume: Volume, unit: str) -> tuple[float, float]:

@@ -9,7 +9,7 @@ from functools import cache, partial
 from typing import Any
 
 import numpy as np
-from imgui_bundle import imgui
+from imgui_bundle import imgui, imgui_ctx
 
 from supple.deformation import Deformation
 from supple.folding.limits import NEAR
@@ -121,12 +121,11 @@ def brush(view: View) -> None:
         imgui.same_line()
         if button(f"Stroke {i + 1}###own", wide, on=own):
             view.own = True
-    imgui.push_id("own" if own else "next")
-    if own and i is not None:
-        _selected(view, i)
-    else:
-        _next(view)
-    imgui.pop_id()
+    with imgui_ctx.push_id("own" if own else "next"):
+        if own and i is not None:
+            _selected(view, i)
+        else:
+            _next(view)
 
 
 def _next(view: View) -> None:
@@ -356,7 +355,7 @@ def _arrival(view: View, i: int) -> None:
         cause = CAUSES[arrival.cause or "border"]
         wrapped(f"Its point ends {arrival.miss:.3g} {unit} from its target: {cause}.", colour=theme.WARNING)
         way, tip = "Go all the way, in small steps", "No step folds; for all strokes"
-        if document.state.on_fold != "flow" and button(way, tip=tip):
+        if document.state.rest.on_fold != "flow" and button(way, tip=tip):
             view.attempt(lambda: document.set_rest(on_fold="flow"))
     if (said := document.warning(i)) is not None and "as far as is possible" in said:
         wrapped(f"{said.partition(':')[0]}.", colour=theme.WARNING)
@@ -373,8 +372,8 @@ def folds(view: View) -> None:
         return
     document = view.document
     tip = "What happens where a stroke is so strong that the picture would fold over itself"
-    policy = choice("If it folds", document.state.on_fold, FOLDS, tip)
-    if policy != document.state.on_fold:
+    policy = choice("If it folds", document.state.rest.on_fold, FOLDS, tip)
+    if policy != document.state.rest.on_fold:
         view.attempt(lambda: document.set_rest(on_fold=policy))
     border = document.state.rest.border
     label("Border", "A fixed border stays where it is; what is on a free one moves, and leaves a gap")

@@ -104,6 +104,15 @@ def outlined_way(lines: imgui.ImDrawList, points: list[Any], colour: int, thick:
         lines.add_polyline(points, col=shade, thickness=wide, flags=imgui.ImDrawFlags_.none)
 
 
+def diamond(lines: imgui.ImDrawList, at: Pair, size: float, colour: int, edge: float = 1.0, full: bool = True) -> None:
+    """Draw a diamond with a dark edge; or, if it is not full, the edge alone, in its colour."""
+    (x, y), ways = at, ((0, -size), (size, 0), (0, size), (-size, 0), (0, -size))
+    corners: list[Any] = [(x + a, y + b) for a, b in ways]
+    if full:
+        lines.add_convex_poly_filled(corners[:-1], colour)
+    lines.add_polyline(corners, DARK if full else colour, edge, 0)
+
+
 BEFORE, AFTER, KEY = "\uf053", "\uf054", "\uf219"
 SEEN, HIDDEN, PLAY, PAUSE, CROSS = "\uf06e", "\uf070", "\uf04b", "\uf04c", "\uf00d"
 ICONS = {

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from imgui_bundle import imgui
+from imgui_bundle import imgui, imgui_ctx
 
 from supple.render.box import whole_box
 from supple.render.transfer import LABELS, PRESETS, TransferFunction
@@ -35,9 +35,8 @@ def draw(view: View) -> None:
     window = stage.density or (low, high)
     wide, transfer = imgui.get_content_region_avail().x, stage.scene.transfer
     if isinstance(transfer, TransferFunction):
-        imgui.push_style_color(imgui.Col_.plot_histogram, theme.FAINT)
-        imgui.plot_histogram("##histogram", stage.histogram, graph_size=(wide, 50))
-        imgui.pop_style_color()
+        with imgui_ctx.push_style_color(imgui.Col_.plot_histogram, imgui.ImVec4(*theme.FAINT)):
+            imgui.plot_histogram("##histogram", stage.histogram, graph_size=(wide, 50))
         hint("How many voxels have which value, on a logarithmic scale, and the opacity of each")
         _curve(stage, transfer)
     for k, said in enumerate(("Values from", "to")):

@@ -7,7 +7,7 @@ import math
 from collections.abc import Callable, Iterator, Mapping
 from typing import TypeVar
 
-from imgui_bundle import imgui
+from imgui_bundle import imgui, imgui_ctx
 
 from supple.viewer.document.background import Task
 from supple.viewer.document.settings import keep
@@ -33,9 +33,8 @@ def section(view: View, name: str, text: str = "", *, shown: bool = False) -> bo
     opened = view.sections.get(name, shown or name not in FOLDED)
     imgui.spacing()
     imgui.set_next_item_open(opened)
-    imgui.push_style_color(imgui.Col_.header, theme.LINE)
-    now = imgui.collapsing_header(f"{text or name}###{name}")
-    imgui.pop_style_color()
+    with imgui_ctx.push_style_color(imgui.Col_.header, imgui.ImVec4(*theme.LINE)):
+        now = imgui.collapsing_header(f"{text or name}###{name}")
     if now != opened:
         view.sections[name] = now
         keep(sections=view.sections)
@@ -71,9 +70,8 @@ def label(text: str, tip: str = "", picture: Callable[[], None] | None = None) -
 
 def wrapped(text: str, wide: float = 0.0, colour: theme.Colour = theme.FAINT) -> None:
     """Draw a text in lines of a width, or of that of the panel."""
-    imgui.push_text_wrap_pos(wide)
-    imgui.text_colored(colour, text)
-    imgui.pop_text_wrap_pos()
+    with imgui_ctx.push_text_wrap_pos(wide):
+        imgui.text_colored(colour, text)
 
 
 def elided(text: str, wide: float) -> str:
@@ -114,13 +112,7 @@ def button(
 
 
 def icon_button(
-    name: str,
-    icon: str,
-    tip: str | Callable[[], str],
-    size: float = 0.0,
-    *,
-    on: bool = False,
-    enabled: bool = True,
+    name: str, icon: str, tip: str | Callable[[], str], size: float = 0.0, *, on: bool = False, enabled: bool = True
 ) -> bool:
     """Draw a button with an icon, by default as high as a field; return whether it was pressed."""
     size = size or imgui.get_frame_height()
@@ -149,9 +141,8 @@ def eye(hidden: bool) -> bool:
 
 def progress(task: Task) -> bool:
     """Draw the progress of a task, and the button that cancels it; return whether the button was pressed."""
-    imgui.push_style_color(imgui.Col_.plot_histogram, theme.FULL)
-    imgui.progress_bar(task.progress, (-80, imgui.get_frame_height()), f"{100 * task.progress:.0f} %")
-    imgui.pop_style_color()
+    with imgui_ctx.push_style_color(imgui.Col_.plot_histogram, imgui.ImVec4(*theme.FULL)):
+        imgui.progress_bar(task.progress, (-80, imgui.get_frame_height()), f"{100 * task.progress:.0f} %")
     imgui.same_line()
     return bool(imgui.button("Cancel", (REST, 0)))
 
@@ -230,10 +221,8 @@ def rows(view: View, name: str, count: int, most: int, now: int | None = None, *
 
 def entry(text: str, on: bool, wide: float = 0.0) -> bool:
     """Draw a text that can be clicked, as high as a field; return whether it was."""
-    imgui.push_style_var(imgui.StyleVar_.selectable_text_align, (0.0, 0.5))
-    pressed = imgui.selectable(text, on, size=(wide, imgui.get_frame_height()))[0]
-    imgui.pop_style_var()
-    return pressed
+    with imgui_ctx.push_style_var(imgui.StyleVar_.selectable_text_align, (0.0, 0.5)):
+        return imgui.selectable(text, on, size=(wide, imgui.get_frame_height()))[0]
 
 
 def typed(view: View, name: str, value: float, form: str, tip: str = "") -> float | None:
@@ -250,10 +239,8 @@ def typed(view: View, name: str, value: float, form: str, tip: str = "") -> floa
 def hint(text: str | Callable[[], str], picture: Callable[[], None] | None = None) -> None:
     """Show a hint if the pointer rests on the last item; only then are functions called, for a text or a picture."""
     if text and imgui.is_item_hovered(_RESTING):
-        imgui.begin_tooltip()
-        imgui.push_text_wrap_pos(320.0)
-        imgui.text(text if isinstance(text, str) else text())
-        imgui.pop_text_wrap_pos()
-        if picture is not None:
-            picture()
-        imgui.end_tooltip()
+        with imgui_ctx.begin_tooltip():
+            with imgui_ctx.push_text_wrap_pos(320.0):
+                imgui.text(text if isinstance(text, str) else text())
+            if picture is not None:
+                picture()

@@ -43,11 +43,6 @@ class Comparison:
         """Everything that a picture of both depends on, except their samples and windows."""
         return self.mode, self.shares.get(self.mode)
 
-    def turn(self) -> None:
-        """Go on to the next mode."""
-        modes = list(MODES)
-        self.mode = modes[(modes.index(self.mode) + 1) % len(modes)]
-
     def compared(self, bent: Pixels, fixed: Pixels, spacing: tuple[float, float]) -> Pixels:
         """Return one picture of both planes, (rows, columns, 4); ``spacing`` is a pixel's height and width, in mm."""
         if self.mode == "beside":

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
+from functools import lru_cache
 from itertools import pairwise
 
 import numpy as np
@@ -32,7 +33,7 @@ _SIDES = (
 _AROUND = ((-1, -1), (1, -1), (1, 1), (-1, 1))
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Stage:
     """The volume before a camera, and its canvas."""
 
@@ -40,15 +41,11 @@ class Stage:
     geometry: Geometry
     size: tuple[int, int]  # rows and columns of the canvas, in logical pixels
     points: npt.NDArray[np.float64] | None = None  # in view at first, in voxels, (N, 3); None for the whole volume
-    _views: dict[Camera, Projection] = field(default_factory=dict, init=False, compare=False)
 
+    @lru_cache(maxsize=16)  # noqa: B019 - of the last views, as each mark in a frame asks for one
     def view(self, camera: Camera) -> Projection:
-        """Return the projection of a camera; the last ones are cached, as each mark in a frame asks for one."""
-        if camera not in self._views:
-            if len(self._views) >= 16:
-                self._views.clear()
-            self._views[camera] = view_of(camera, self.shape, self.geometry, self.size, self.points)
-        return self._views[camera]
+        """Return the projection of a camera."""
+        return view_of(camera, self.shape, self.geometry, self.size, self.points)
 
     def target(self, camera: Camera) -> tuple[float, ...]:
         """Return the target of the camera, in indices, x first."""
@@ -61,11 +58,7 @@ class Stage:
     def placed(self, camera: Camera) -> Camera:
         """Return the camera with its target and distance set, so that it is in the same place for every scene."""
         x, y, z = self.target(camera)
-        return replace(camera, target=(x, y, z), distance=self.distance(camera))
-
-    def distance(self, camera: Camera) -> float:
-        """Return the distance from the camera to its target, in millimetres."""
-        return self.view(camera).distance
+        return replace(camera, target=(x, y, z), distance=self.view(camera).distance)
 
     def project(self, camera: Camera, point: tuple[float, ...]) -> tuple[float, float, float] | None:
         """Return the position of a voxel on the canvas, and its distance from the eye; None behind the camera."""
@@ -100,18 +93,18 @@ def orbit(camera: Camera, dx: float, dy: float, stage: Stage) -> Camera:
 
 def pan(camera: Camera, dx: float, dy: float, stage: Stage) -> Camera:
     """Move the volume with the pointer; the camera always looks at it."""
-    view, distance = stage.view(camera), stage.distance(camera)
-    moved = np.array(stage.target(camera)) - (dx * view.packed[3] + dy * view.packed[4]) * distance / view.spacing
+    view = stage.view(camera)
+    moved = np.array(stage.target(camera)) - (dx * view.packed[3] + dy * view.packed[4]) * view.distance / view.spacing
     last = np.array(stage.shape[::-1]) - 1.0
     x, y, z = np.clip(moved, 0.0, last).tolist()
-    return replace(camera, target=(x, y, z), distance=distance)
+    return replace(camera, target=(x, y, z), distance=view.distance)
 
 
 def dolly(camera: Camera, amount: float, stage: Stage) -> Camera:
     """Move the camera nearer (below 0), or away, by a turn of the wheel."""
     nearest = max(min(stage.geometry.spacing), SMALLEST)
-    farthest = FARTHEST * stage.distance(replace(camera, distance=None))
-    distance = stage.distance(camera) * STEP ** (amount / 100)
+    farthest = FARTHEST * stage.view(replace(camera, distance=None)).distance
+    distance = stage.view(camera).distance * STEP ** (amount / 100)
     return replace(camera, distance=min(max(distance, nearest), farthest))
 
 

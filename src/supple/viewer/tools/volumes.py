@@ -16,7 +16,7 @@ from supple.space.geometry import Geometry
 from supple.viewer.document.editing import Document
 from supple.viewer.tools import orbit
 from supple.viewer.tools.brushes import GRIP, ZOOM, pans
-from supple.viewer.tools.comparing import Comparison
+from supple.viewer.tools.comparing import MODES, Comparison
 from supple.viewer.tools.drawing import Held, Pair, Place
 from supple.viewer.tools.gestures import Event, Lead, Tools, commanded, shifted
 from supple.viewer.tools.planes import FIXED, RENDERED, Pane, Sight, Upright, fitting, holding, places_of, planes_of
@@ -397,8 +397,8 @@ class VolumeTools(Tools[Camera]):
         elif key in ("x", "X", "l", "L") and self.comparison is None:
             raise SuppleError("there is no fixed volume beside this one: open both by --fixed")
         elif key in ("x", "X") and self.comparison is not None:
-            self.comparison.turn()
-            self._arrange()
+            modes = [*MODES, *MODES]
+            self.compare(modes[modes.index(self.comparison.mode) + 1])
         elif key in ("l", "L") and self.document.marks is not None:
             marking = not self.marking
             self._end_marking()
