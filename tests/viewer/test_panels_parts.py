@@ -46,7 +46,8 @@ def test_each_tool_and_action_has_an_icon_and_a_key_that_is_listed() -> None:
     from supple.viewer.panels.actions import ACTIONS, GROUPS, MENUS
     from supple.viewer.panels.theme import ICONS
 
-    assert {*BRUSHES, *(name for group in GROUPS for name in group)} <= set(ICONS)
+    assert set(BRUSHES) <= set(ICONS)
+    assert all(ACTIONS[name].icon for group in GROUPS for name in group)
     assert {name for items in MENUS.values() for name in items} - {"", "recent"} == set(ACTIONS)
     listed = {word for rows in KEYS.values() for keys in rows for word in re.split("[ ,]+", keys)}
     assert {action.keys for action in ACTIONS.values()} - {""} <= listed
@@ -54,11 +55,12 @@ def test_each_tool_and_action_has_an_icon_and_a_key_that_is_listed() -> None:
 
 
 def test_icons_are_seen_and_differ(gpu: Gpu, monkeypatch: pytest.MonkeyPatch) -> None:
-    from supple.viewer.panels import theme
+    from supple.viewer.panels import actions, theme
 
     _, hand = grey()
     seen: dict[str, np.ndarray] = {}
-    for name, icon in {**theme.ICONS, "eye": theme.SEEN, "no eye": theme.HIDDEN}.items():
+    acts = {name: action.icon for name, action in actions.ACTIONS.items() if action.icon}
+    for name, icon in {**theme.ICONS, **acts, "eye": theme.SEEN, "no eye": theme.HIDDEN}.items():
 
         def draw(view: Any, icon: str = icon) -> None:
             theme.draw_icon(imgui.get_background_draw_list(), icon, (30, 60), 18, 0xFFFFFFFF)

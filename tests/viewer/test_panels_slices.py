@@ -282,8 +282,8 @@ def test_landmarks_are_shown_before_and_after(gpu: Gpu, tmp_path: Path) -> None:
     (tmp_path / "marks.csv").write_text(f"name,r,a,s\nnasion,{x},{y},{z}\n")
     recipe = Recipe(border=None, strokes=(Stroke.grab(NOSE, by=(0, -6, 6), radius=20),))
     view, hand = opened(DATA / "head.nii.gz", recipe, points=tmp_path / "marks.csv")
-    assert view.document.marks.names == ("nasion",)
-    after = view.document.marks.moved(view.document.deformation)[0]
+    assert view.document.state.marks.names == ("nasion",)
+    after = view.document.state.marks.moved(view.document.deformation)[0]
     np.testing.assert_allclose(after, (45, 90, 46), atol=0.01)
     tools = view.tools
     tools.sight = tools.sight.at(tuple(after), tools.sizes)

@@ -150,19 +150,19 @@ def test_what_a_registration_missed_is_pulled_by_landmarks_and_exported_as_one_f
     hand.canvas.draw()
     hand.click(tools.pane(0).to_canvas(tuple(where)))
     assert "same point in the fixed volume" in overlay.status(view)
-    assert view.document.marks.open == 0
+    assert view.document.state.marks.open == 0
     tools.sight = tools.sight.at(WRONG, tools.sizes)
     hand.canvas.draw()
     hand.click(tools.pane(FIXED).to_canvas(WRONG))
     assert not tools.marking
     assert axial.plane.name == "axial"
-    (residual,) = view.document.marks.residuals(document.deformation)
+    (residual,) = view.document.state.marks.residuals(document.deformation)
     # Undo takes back a click as it does a stroke.
     assert [state.made_by for state in document.steps[1:]] == ["Set landmark 1"] * 2
     shown = []
     for step in (document.undo, document.undo, document.redo, document.redo):
         step()
-        shown.append((view.document.marks.names, len(view.document.marks.pairs)))
+        shown.append((view.document.state.marks.names, len(view.document.state.marks.pairs)))
     assert shown == [(("1",), 0), ((), 0), (("1",), 0), (("1",), 1)]
     assert residual == pytest.approx(np.linalg.norm((np.round(where[2]) - where[2], 0, 0)) * 4 + 8.4, abs=2.0)
     found: dict[str, tuple[float, float]] = {}
@@ -173,7 +173,7 @@ def test_what_a_registration_missed_is_pulled_by_landmarks_and_exported_as_one_f
     tools.radius = 30.0
     hand.click(found["Pull them together"])
     assert len(document.strokes) == 1
-    assert view.document.marks.residuals(document.deformation)[0] < 0.01
+    assert view.document.state.marks.residuals(document.deformation)[0] < 0.01
     # Another place is corrected by a drag in the plane, as any stroke; undo takes it back, and redo makes it again.
     start = tools.pane(2).to_canvas((22, 40, 26))
     hand.drag(start, (start[0] + 12, start[1]))
@@ -271,7 +271,7 @@ def test_pairs_come_from_files_and_are_listed_with_their_residuals(gpu: Gpu, hea
         (tmp_path / f"{name}.csv").write_text("\n".join(["name,l,p,s", *rows]) + "\n")
     files = {"points": tmp_path / "moving.csv", "fixed_points": tmp_path / "fixed.csv"}
     view, hand = registered(heads, size=(1280, 800), **files)
-    marks, document = view.document.marks, view.document
+    marks, document = view.document.state.marks, view.document
     assert marks.names == ("a", "b", "c")
     before = marks.residuals(document.deformation)
     assert before[0] == pytest.approx(np.linalg.norm(OFF), abs=2.0)
@@ -283,7 +283,7 @@ def test_pairs_come_from_files_and_are_listed_with_their_residuals(gpu: Gpu, hea
     assert marks.residuals(document.deformation).max() < 0.01
     hand.canvas.draw()
     document.mark(marks.without(1), "Remove landmark b")
-    assert view.document.marks.names == ("a", "c")
+    assert view.document.state.marks.names == ("a", "c")
     # They come back from the tables that they are saved to.
     document.mark_saved()
     assert not view.commands.may_close()
@@ -297,10 +297,10 @@ def test_pairs_come_from_files_and_are_listed_with_their_residuals(gpu: Gpu, hea
     assert view.commands.answer("Save")
     assert view.commands.may_close()
     files = {"points": tmp_path / "m.csv", "fixed_points": tmp_path / "m-fixed.csv"}
-    back = registered(heads, **files)[0].document.marks
+    back = registered(heads, **files)[0].document.state.marks
     assert back.names == ("a", "c")
-    np.testing.assert_allclose(back.points, view.document.marks.points, atol=1e-3)
-    np.testing.assert_allclose(back.fixed, view.document.marks.fixed, atol=1e-9)
+    np.testing.assert_allclose(back.points, view.document.state.marks.points, atol=1e-3)
+    np.testing.assert_allclose(back.fixed, view.document.state.marks.fixed, atol=1e-9)
     (tmp_path / "two.csv").write_text("l,p,s\n0,0,0\n1,1,1\n2,2,2\n3,3,3\n4,4,4\n")
     (tmp_path / "named.csv").write_text("name,l,p,s\nq,0,0,0\n")
     with pytest.raises(supple.SuppleError, match="5 and 1 landmarks, whose names do not match"):
@@ -348,7 +348,7 @@ def test_names_of_a_segmentation_of_slicer_are_listed(gpu: Gpu, tmp_path: Path) 
     sitk.WriteImage(image, str(tmp_path / "brain.seg.nrrd"))
     view, hand = opened(DATA / "head.nii.gz", segmentation=tmp_path / "brain.seg.nrrd", size=(1280, 800))
     known = view.slices.segmentation
-    assert (known.labels, known.names) == ((1,), {1: "Brain"})
+    assert (known.labels, known.colours.names) == ((1,), {1: "Brain"})
     assert known.shades[0].tolist() == [0, 1, 0, 1]
     hand.canvas.draw()
 

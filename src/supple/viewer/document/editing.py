@@ -43,7 +43,7 @@ class State:
     rest: Recipe = _EMPTY  # the recipe's other options
     selected: int | None = None
     made_by: str = field(default="", compare=False)  # the step that led here, in words
-    marks: Landmarks | None = None  # the landmarks of a volume
+    marks: Landmarks | None = None  # the landmarks of a volume, perhaps none yet; None if there cannot be any
 
     @property
     def recipe(self) -> Recipe:
@@ -175,11 +175,6 @@ class Document:
     def strokes(self) -> tuple[Stroke, ...]:
         """The strokes, with the hidden ones."""
         return self._now.state.strokes
-
-    @property
-    def marks(self) -> Landmarks | None:
-        """The landmarks of a volume, perhaps none yet; None if the document cannot have landmarks."""
-        return self._now.state.marks
 
     @property
     def selected(self) -> int | None:

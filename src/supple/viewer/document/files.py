@@ -236,7 +236,7 @@ class FileCommands:
         self.following: tuple[Stroke, int, Task] | None = None  # what is tracked: a stroke, and from which frame
         self.recipe_path: Path | None = None  # the last saved or opened recipe
         self.write_marks: Callable[[PathLike, bool], None] | None = None  # writes the landmarks
-        self._marks = self.document.marks  # as they were written last
+        self._marks = self.document.state.marks  # as they were written last
         self._told: Task | None = None
         self.autosave = None if self.source is None else Autosave(self.source, self.document)
         left = None if self.source is None else found(self.source)
@@ -345,7 +345,7 @@ class FileCommands:
         if self.document.dirty:
             self.ask("close")
             return False
-        if self.document.marks is not self._marks:
+        if self.document.state.marks is not self._marks:
             text, choice = "There are landmarks that were not saved.", "Close without saving"
         elif self.export is not None and not self.export.done:
             text, choice = "An export is under way.", "Stop it and close"
@@ -415,7 +415,7 @@ class FileCommands:
             write_freeze(path, self.document.freeze, self.document.shape, self.document.geometry, force=force)
         elif what == "save landmarks" and self.write_marks is not None:
             self.write_marks(path, force)
-            self._marks = self.document.marks
+            self._marks = self.document.state.marks
         elif what == "copy":
             check_target(path)
             check_output(path, force=force)  # before rendering, which may take seconds

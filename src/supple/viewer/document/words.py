@@ -85,11 +85,8 @@ def others(stroke: Stroke) -> str:
     """Return the number of other points and of pins of a stroke, in words."""
     pins = sum(not any(by) for _, by in stroke.also)
     more = len(stroke.also) - pins
-    return " and ".join(_counted(n, what) for n, what in ((more, "other point"), (pins, "pin")) if n)
-
-
-def _counted(count: int, what: str) -> str:
-    return f"{count} {what}{'s' * (count != 1)}"
+    counts = ((more, "other point"), (pins, "pin"))
+    return " and ".join(f"{n} {what}{'s' * (n != 1)}" for n, what in counts if n)
 
 
 def described(

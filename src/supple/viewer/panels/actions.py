@@ -25,6 +25,7 @@ class Action:
     able: Callable[[View], bool] = lambda view: True
     on: Callable[[View], bool] | None = None  # for a switch, whether it is on
     more: Callable[[View], str] | None = None  # what it would be applied to, in words
+    icon: str = ""  # of those that the strip has
 
     def says(self, view: View) -> str:
         """Return the text, and what it would be applied to."""
@@ -85,15 +86,15 @@ def _freezes(view: View) -> bool:
 
 _NAMES = {"delete": "Delete", "f1": "F1"}  # of keys, in events
 ACTIONS: dict[str, Action] = {
-    "open": Action("Open \u2026", "Ctrl+O", _asks("open")),
+    "open": Action("Open \u2026", "Ctrl+O", _asks("open"), icon="\uf07c"),
     "load mask": Action("Load the freeze mask \u2026", "", _asks("load mask")),
     "save mask": Action("Save the freeze mask \u2026", "", _asks("save mask"), _freezes),
-    "save": Action("Save the recipe", "Ctrl+S", _asks("save")),
+    "save": Action("Save the recipe", "Ctrl+S", _asks("save"), icon="\uf0c7"),
     "save as": Action("Save the recipe as \u2026", "Ctrl+Shift+S", _asks("save as")),
-    "export": Action("Export \u2026", "Ctrl+E", _asks("export"), lambda view: view.source is not None),
+    "export": Action("Export \u2026", "Ctrl+E", _asks("export"), lambda view: view.source is not None, icon="\uf14d"),
     "copy": Action("Save this view \u2026", "", _asks("copy")),
-    "undo": Action("Undo", "Ctrl+Z", able=lambda view: view.document.can_undo, more=_undone),
-    "redo": Action("Redo", "Ctrl+Y", able=lambda view: view.document.can_redo, more=_redone),
+    "undo": Action("Undo", "Ctrl+Z", able=lambda view: view.document.can_undo, more=_undone, icon="\uf2ea"),
+    "redo": Action("Redo", "Ctrl+Y", able=lambda view: view.document.can_redo, more=_redone, icon="\uf2f9"),
     "restore": Action(
         "Restore all", "", _edits(lambda view: view.document.restore()), lambda view: bool(view.document.strokes)
     ),
@@ -110,12 +111,13 @@ ACTIONS: dict[str, Action] = {
         "\\",
         lambda view: show_original(view, not view.tools.original),
         on=lambda view: view.tools.original,
+        icon="\uf042",
     ),
-    "split": Action("Before and after", "B", on=lambda view: view.tools.split is not None),
-    "symmetry": Action("Symmetric strokes", "M", on=lambda view: view.tools.symmetric),
-    "fit": Action("Fit the view", "0"),
+    "split": Action("Before and after", "B", on=lambda view: view.tools.split is not None, icon="\uf0db"),
+    "symmetry": Action("Symmetric strokes", "M", on=lambda view: view.tools.symmetric, icon="\uf07e"),
+    "fit": Action("Fit the view", "0", icon="\uf065"),
     "actual": Action("100 %", "1", able=lambda view: view.stage.kind != "volume"),
-    "keys": Action("Keys and gestures", "F1", on=lambda view: view.tools.listing),
+    "keys": Action("Keys and gestures", "F1", on=lambda view: view.tools.listing, icon="\uf128"),
 }
 
 
@@ -201,7 +203,7 @@ def _tool(view: View, name: str, size: float) -> None:
         return f"{'Hold to see the original' if held else action.says(view)} ({action.keys})"
 
     on, able = action.on is not None and action.on(view), action.able(view)
-    pressed = icon_button(name, ICONS[name], tip, size, on=on, enabled=able)
+    pressed = icon_button(name, action.icon, tip, size, on=on, enabled=able)
     if not held:
         if pressed:
             action.do(view)

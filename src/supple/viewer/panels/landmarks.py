@@ -35,7 +35,7 @@ def draw(
 
     Lines lead to them from their positions before strokes and, if the picture shows a fixed volume, from its points.
     """
-    marks, tools, document = view.document.marks, view.tools, view.document
+    marks, tools, document = view.document.state.marks, view.tools, view.document
     if marks is None or not isinstance(tools, VolumeTools):
         return
     taken: list[Box] = []

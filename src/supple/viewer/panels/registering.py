@@ -48,8 +48,8 @@ def draw(view: View) -> None:
         _comparison(view, tools, tools.comparison)
     if view.slices.segmentation is not None:
         _labels(view, view.slices.segmentation)
-    if tools.comparison is not None and view.document.marks is not None:
-        _landmarks(view, tools, view.document.marks)
+    if tools.comparison is not None and view.document.state.marks is not None:
+        _landmarks(view, tools, view.document.state.marks)
 
 
 def _comparison(view: View, tools: VolumeTools, known: Comparison) -> None:

@@ -130,18 +130,8 @@ ICONS = {
     "thaw": "\uf043",
     "level": "\uf545",
     "keystone": "\uf5ee",
-    "symmetry": "\uf07e",
-    "undo": "\uf2ea",
-    "redo": "\uf2f9",
-    "original": "\uf042",
-    "split": "\uf0db",
-    "fit": "\uf065",
-    "open": "\uf07c",
-    "save": "\uf0c7",
-    "export": "\uf14d",
-    "keys": "\uf128",
 }
-"""Icons of tools and of actions, by their names."""
+"""Icons of tools, by their names."""
 
 
 def draw_icon(lines: imgui.ImDrawList, icon: str, middle: tuple[float, float], size: float, colour: int) -> None:

@@ -280,18 +280,18 @@ class VolumeTools(Tools[Camera]):
     @property
     def status(self) -> str | None:
         """The reason for a refused action, or what a click sets, in a line."""
-        if not self.marking or self.document.marks is None:
+        if not self.marking or self.document.state.marks is None:
             return super().status
         beside = self.comparison is not None and self.comparison.beside
-        if self.document.marks.open is None:
+        if self.document.state.marks.open is None:
             where = "in the bent volume or in the fixed one" if beside else "in the bent volume"
             return f"click a point {where}; Escape ends it"
-        done = bool(np.isfinite(self.document.marks.points[self.document.marks.open]).all())
+        done = bool(np.isfinite(self.document.state.marks.points[self.document.state.marks.open]).all())
         return f"click the same point in the {'fixed' if done else 'bent'} volume; Escape ends it"
 
     def _mark(self) -> bool:
         """Set a landmark where the pointer is, in the volume that is there; return whether it had an effect."""
-        point, marks = self.hover, self.document.marks
+        point, marks = self.hover, self.document.state.marks
         if point is None or marks is None:
             return False
         apart = self.active == RENDERED or (self.comparison is not None and self.comparison.beside)
@@ -303,7 +303,7 @@ class VolumeTools(Tools[Camera]):
         return True
 
     def _end_marking(self) -> None:
-        self.marking, marks = False, self.document.marks
+        self.marking, marks = False, self.document.state.marks
         if marks is not None and marks.open is not None:
             self.document.mark(marks.without(marks.open), f"Drop landmark {marks.names[marks.open]}")
 
@@ -399,7 +399,7 @@ class VolumeTools(Tools[Camera]):
         elif key in ("x", "X") and self.comparison is not None:
             modes = [*MODES, *MODES]
             self.compare(modes[modes.index(self.comparison.mode) + 1])
-        elif key in ("l", "L") and self.document.marks is not None:
+        elif key in ("l", "L") and self.document.state.marks is not None:
             marking = not self.marking
             self._end_marking()
             self.marking = marking

@@ -106,7 +106,7 @@ def comparison_of(stage: VolumeStage) -> Comparison | None:
 
 def write_landmarks(stage: VolumeStage, document: Document, path: PathLike, force: bool) -> None:
     """Write the landmarks of a volume to a table in LPS, and those of the fixed one to another, NAME-fixed.csv."""
-    marks, known, geometry = document.marks, stage.registration, stage.volume.geometry
+    marks, known, geometry = document.state.marks, stage.registration, stage.volume.geometry
     assert marks is not None
     assert known is not None
     first = Path(path)
