@@ -30,19 +30,19 @@ class TestTheCut:
     @pytest.mark.parametrize("make", [lambda: image(), lambda: solid()])
     def test_its_knob_is_dragged_and_nothing_is_bent(self, make: Callable[[], Tools[Any]]) -> None:
         tools = make()
-        assert tools.knob is None
+        assert tools.knob_in(tools.place) is None
         press(tools, "b")
         assert tools.split == 0.5
         width, height = tools.place[2:]
-        assert tools.knob == (width / 2, height / 2)
+        assert tools.knob_in(tools.place) == (width / 2, height / 2)
         before = tools.view
-        drag(tools, tools.knob, (0.3 * width, height / 2), (0.25 * width, 0.9 * height))
+        drag(tools, tools.knob_in(tools.place), (0.3 * width, height / 2), (0.25 * width, 0.9 * height))
         assert tools.split == pytest.approx(0.25)
         assert tools.document.strokes == ()
         assert tools.view == before
-        drag(tools, tools.knob, (-50, 0))
+        drag(tools, tools.knob_in(tools.place), (-50, 0))
         assert tools.split == 0.0
-        drag(tools, tools.knob, (2 * width, 0))
+        drag(tools, tools.knob_in(tools.place), (2 * width, 0))
         assert tools.split == 1.0
         press(tools, "b")
         assert tools.split is None

@@ -252,7 +252,7 @@ def test_the_split_has_a_knob_in_each_view() -> None:
     press(tools, "b")
     x, y = middle(tools, CORONAL)
     move(tools, x, y, buttons=())
-    assert tools.knob == pytest.approx((x, y))
+    assert tools.knob_in(tools.place) == pytest.approx((x, y))
     left, _, width, _ = tools.places[CORONAL]
     drag(tools, (x, y), (left + 0.25 * width, y))
     assert tools.split == pytest.approx(0.25)

@@ -106,16 +106,11 @@ class Task:
         self.error: str | None = None  # the error, in one line
         self.result: Any = None  # the result of the work
         self.cancelled = False  # whether it was cancelled before a file was written
-        self._warnings: list[str] = []
+        self.warnings: dict[str, None] = {}  # the warnings, each only once
         self._stop = threading.Event()
         self._work = partial(work, tell=self._tell)
         self._thread = threading.Thread(target=self._run, name="supple-export")
         self._thread.start()
-
-    @property
-    def warnings(self) -> tuple[str, ...]:
-        """The warnings, each only once."""
-        return tuple(dict.fromkeys(self._warnings))
 
     @property
     def done(self) -> bool:
@@ -143,7 +138,7 @@ class Task:
 
     def _run(self) -> None:
         try:
-            with spelling(WINDOW), heard(lambda text, kind: self._warnings.append(_line(text))):
+            with spelling(WINDOW), heard(lambda text, kind: self.warnings.setdefault(_line(text))):
                 self.result = self._work()
         except _Cancelled:
             self.cancelled, self.text = True, "cancelled"

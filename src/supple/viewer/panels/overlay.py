@@ -61,8 +61,6 @@ def _views(view: View, tools: VolumeTools, lines: imgui.ImDrawList) -> None:
             _plane(view, tools, lines, k)
         if tools.active == k:
             rings(tools, lines)
-        if (at := tools.knob_in(place)) is not None and k < FIXED:
-            knob(lines, at)
         if k < FIXED:
             names(tools, lines, place, _NAMED)
         _button(tools, lines, k)
@@ -90,7 +88,12 @@ def ring(lines: imgui.ImDrawList, middle: Pair, radius: float, stretch: Pair, co
 
 
 def names(tools: ImageTools | VolumeTools, lines: imgui.ImDrawList, place: Place, down: float) -> None:
-    """Write what a view, or each side of its split, shows: before, after or a step, ``down`` pixels below the top."""
+    """Write what a view, or each side of its split, shows: before, after or a step, ``down`` pixels below the top.
+
+    The knob of the split is drawn, too.
+    """
+    if (at := tools.knob_in(place)) is not None:
+        knob(lines, at)
     (left, top, width, _), named = place, []
     compared = tools.document.compared is not None
     if tools.original:
@@ -363,8 +366,6 @@ def draw(view: View) -> None:
             mirror(lines, grip, TOP, height, tools.tilt)
         _handles(view, lines)
         rings(tools, lines)
-        if tools.knob is not None:
-            knob(lines, tools.knob)
         names(tools, lines, tools.place, 10.0)
     if not view.hinted:
         _hints(view, lines)
@@ -560,7 +561,8 @@ def _is_before(view: View) -> bool:
     tools = view.tools
     if tools.split is None or tools.pointer is None or tools.original:
         return tools.original
-    return tools.knob is not None and tools.pointer[0] < tools.knob[0]
+    at = tools.knob_in(tools.place)
+    return at is not None and tools.pointer[0] < at[0]
 
 
 def _of_a_volume(view: View, tools: VolumeTools, hover: tuple[float, ...]) -> list[str]:

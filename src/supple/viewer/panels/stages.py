@@ -113,11 +113,6 @@ class FrameCache:
         rgb = clip.to_rgb(arrays, deep=bool(transform))
         return shown(seen(rgb, transform) if transform else rgb, alpha=False)
 
-    def wait(self, first: int, last: int, seconds: float) -> bool:
-        """Wait for frames; return whether they are there."""
-        self.want(first, last)
-        return self.arrived(seconds)
-
     def arrived(self, seconds: float) -> bool:
         """Wait for the last request, or the end of decoding; return whether it was in time."""
         with self._news:

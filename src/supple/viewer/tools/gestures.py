@@ -134,11 +134,6 @@ class Tools(Drawing, Generic[V]):
             self.document.abandon()
         return gesture is not None
 
-    @property
-    def knob(self) -> Pair | None:
-        """The position of the knob of the split in the view under the pointer; None without a split."""
-        return self.knob_in(self.place)
-
     def knob_in(self, place: Place) -> Pair | None:
         """Return the position of the knob of the split in a view; None without a split."""
         left, top, width, height = place
@@ -152,7 +147,7 @@ class Tools(Drawing, Generic[V]):
     @property
     def _knobs(self) -> dict[Callable[[Lead[V]], None], Pair | None]:
         """The positions of the knobs in the view under the pointer, and what a drag of each does."""
-        return {self._cut: self.knob, self._lay: self.grip}
+        return {self._cut: self.knob_in(self.place), self._lay: self.grip}
 
     @property
     def _beside(self) -> Callable[[Lead[V]], None]:
