@@ -121,9 +121,7 @@ def segmentation_of(volume: Volume, table: LabelColours | None) -> Segmentation:
     if volume.components > 1:
         raise SuppleError(f"{volume.name} has {volume.components} components, and labels are of one: give one of them")
     samples = volume.samples[0] if volume.series else volume.samples
-    if table is not None:
-        return Segmentation(volume, table)
-    known = volume.is_segmentation
-    return Segmentation(
-        volume, LabelColours.of_segments(volume.header, labels_in(samples)) if known else LabelColours()
-    )
+    if table is None:
+        known = volume.is_segmentation
+        table = LabelColours.of_segments(volume.header, labels_in(samples)) if known else LabelColours()
+    return Segmentation(volume, table)

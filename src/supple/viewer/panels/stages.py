@@ -10,6 +10,7 @@ from collections import OrderedDict
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from dataclasses import replace
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -69,7 +70,8 @@ class FrameCache:
         self.most = max(4, room // (4 * width * height))  # the number of cached frames
         self.error = ""  # the reason why decoding has stopped
         self._frames: OrderedDict[int, Pixels] = OrderedDict()
-        self._wanted: tuple[Span, ...] = ((0, 0),)
+        self._wanted: dict[int, None] = {0: None}  # the requested frames, and those that follow while there is room
+        self._ahead = range(0)
         self._news = threading.Condition()
         self._closed = False
         self._start()
@@ -84,9 +86,10 @@ class FrameCache:
         After an error, another request tries to decode again.
         """
         with self._news:
-            wanted = tuple((max(0, a), min(self.count - 1, b)) for a, b in ((first, last), *others))
+            spans = (range(max(0, a), min(self.count - 1, b) + 1) for a, b in ((first, last), *others))
+            wanted, begin = dict.fromkeys(chain.from_iterable(spans)), max(0, first)
             again = bool(self.error) and wanted != self._wanted
-            self._wanted = wanted
+            self._wanted, self._ahead = wanted, range(begin, min(self.count, begin + self.most * 3 // 4))
             if again and not self._closed and not self._there():
                 self.error = ""
                 self._start()
@@ -119,7 +122,7 @@ class FrameCache:
             return self._news.wait_for(lambda: bool(self.error) or self._there(), seconds)
 
     def _there(self) -> bool:
-        return all(k in self._frames for first, last in self._wanted for k in range(first, last + 1))
+        return self._wanted.keys() <= self._frames.keys()
 
     def close(self) -> None:
         """Stop decoding."""
@@ -129,13 +132,7 @@ class FrameCache:
         self._thread.join(5.0)
 
     def _next(self) -> int | None:
-        due = (k for first, last in self._due_spans() for k in range(first, last + 1))
-        return next((k for k in due if k not in self._frames), None)
-
-    def _due_spans(self) -> tuple[Span, ...]:
-        """Return the requested frames, and then those after the first of them, as many as fit the cache."""
-        first = self._wanted[0][0]
-        return *self._wanted, (first, min(self.count, first + self.most * 3 // 4) - 1)
+        return next((k for k in chain(self._wanted, self._ahead) if k not in self._frames), None)
 
     def _work(self) -> None:
         try:
@@ -163,7 +160,7 @@ class FrameCache:
                 if due is None or due < at or (due > at + 1 and seeks and clip.key_before(due) > at):
                     return
                 with self._news:
-                    keep = at not in self._frames and any(a <= at <= b for a, b in self._due_spans())
+                    keep = at not in self._frames and (at in self._wanted or at in self._ahead)
                 if keep:
                     picture.copy_to(arrays)
                     transform = self.transform
@@ -187,7 +184,7 @@ class FrameCache:
 
     def _thin(self) -> None:
         while len(self._frames) > self.most:
-            oldest = next((k for k in self._frames if not any(a <= k <= b for a, b in self._wanted)), None)
+            oldest = next((k for k in self._frames if k not in self._wanted), None)
             if oldest is None:
                 return
             del self._frames[oldest]
