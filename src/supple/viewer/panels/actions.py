@@ -44,9 +44,7 @@ class Action:
 
 def _undone(view: View) -> str:
     document = view.document
-    if document.dragging or not document.can_undo:
-        return ""
-    return document.state.made_by
+    return "" if document.dragging or not document.can_undo else document.state.made_by
 
 
 def _redone(view: View) -> str:
@@ -76,10 +74,6 @@ def copy_recipe(view: View) -> None:
         view.commands.message = "the recipe is copied, as JSON"
 
 
-def _chosen(view: View) -> bool:
-    return view.document.selected is not None
-
-
 def _freezes(view: View) -> bool:
     return view.document.frozen is not None
 
@@ -99,8 +93,8 @@ ACTIONS: dict[str, Action] = {
         "Restore all", "", _edits(lambda view: view.document.restore()), lambda view: bool(view.document.strokes)
     ),
     "handles": Action("Handles", "Ctrl+H", on=lambda view: not view.tools.bare),
-    "delete": Action("Delete the stroke", "Delete", able=_chosen),
-    "hide": Action("Hide or show the stroke", "H", able=_chosen),
+    "delete": Action("Delete the stroke", "Delete", able=lambda view: view.document.selected is not None),
+    "hide": Action("Hide or show the stroke", "H", able=lambda view: view.document.selected is not None),
     "thaw all": Action("Thaw everything", "", _edits(lambda view: view.document.set_freeze(None)), _freezes),
     "invert frozen": Action(
         "Invert what is frozen", "", _edits(lambda view: view.document.set_freeze(view.document.freeze.inverted))

@@ -27,7 +27,6 @@ from supple.viewer.panels.widgets import hint, icon_button, pinned, wrapped
 from supple.viewer.tools.brushes import ImageTools, VideoTools
 from supple.viewer.tools.drawing import Pair, Place, Point
 from supple.viewer.tools.planes import FIXED, RENDERED, Pane
-from supple.viewer.tools.playback import Playback
 from supple.viewer.tools.viewport import Viewport
 from supple.viewer.tools.volumes import VolumeTools
 
@@ -471,11 +470,17 @@ def _timeline(view: View, stage: VideoStage) -> None:
         changed, frame = imgui.slider_int("##frame", playback.frame, 0, last, "")
     if changed:
         playback.seek(frame)
-    _marked(playback)
-    begin, end = imgui.get_item_rect_min(), imgui.get_item_rect_max()
+    begin, end, lines = imgui.get_item_rect_min(), imgui.get_item_rect_max(), imgui.get_window_draw_list()
+    inset = 0.5 * imgui.get_style().grab_min_size + 2.0  # a slider's knob stays within it
+
+    def across(at: float) -> int:
+        return round(begin.x + inset + (end.x - begin.x - 2 * inset) * at / max(last, 1))
+
+    if (playback.first, playback.last) != (0, last):
+        lines.add_rect((across(playback.first) - 2, begin.y), (across(playback.last) + 2, end.y), theme.BLUE, 2.0)
     for at, selected in tools.stroke_frames.items():
-        x, high = round(_at_frame(at, playback)) + 0.5, imgui.get_item_rect_max()
-        imgui.get_window_draw_list().add_line((x, high.y - 6), (x, high.y), theme.BLUE if selected else theme.SOFT, 2.0)
+        x = across(at) + 0.5
+        lines.add_line((x, end.y - 6), (x, end.y), theme.BLUE if selected else theme.SOFT, 2.0)
     hint("The frame; below it, where strokes are. I and O mark the part that is played, U removes the marks")
     imgui.same_line(0, 12)
     imgui.text(said)
@@ -485,21 +490,6 @@ def _timeline(view: View, stage: VideoStage) -> None:
     if not view.document.timed:
         imgui.set_cursor_screen_pos((begin.x, end.y + 6))
         keyframes.lane(view, tools, (end.x - begin.x, LANE - 6))
-
-
-def _marked(playback: Playback) -> None:
-    if (playback.first, playback.last) == (0, playback.count - 1):
-        return
-    low, high = imgui.get_item_rect_min(), imgui.get_item_rect_max()
-    first, last = (round(_at_frame(frame, playback)) for frame in (playback.first, playback.last))
-    imgui.get_window_draw_list().add_rect((first - 2, low.y), (last + 2, high.y), theme.BLUE, 2.0)
-
-
-def _at_frame(frame: float, playback: Playback) -> float:
-    """Return the x of a frame on the timeline, which is the last item."""
-    low, high = imgui.get_item_rect_min(), imgui.get_item_rect_max()
-    inset = 0.5 * imgui.get_style().grab_min_size + 2.0  # a slider's knob stays within it
-    return low.x + inset + (high.x - low.x - 2 * inset) * frame / max(playback.count - 1, 1)
 
 
 def status(view: View) -> str:

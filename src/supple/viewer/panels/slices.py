@@ -145,15 +145,8 @@ class Slices:
             columns, rows = high[0] - low[0], high[1] - low[1]
             if columns <= 0 or rows <= 0:
                 continue
-            part = (
-                (low[0] - box[0]) / box[2],
-                (low[1] - box[1]) / box[3],
-                columns / box[2],
-                0.0,
-                0.0,
-                rows / box[3],
-                *ALL[6:],
-            )
+            x, y = ((start - corner) / side for start, corner, side in zip(low, box, box[2:], strict=False))
+            part = x, y, columns / box[2], 0.0, 0.0, rows / box[3], *ALL[6:]
             second = self._textures[k, True][0] if tools.split is not None and k < FIXED else None
             cut = (view[0] + (tools.split or 0.0) * view[2] - low[0]) / columns
             if (k, format) not in self._screens:

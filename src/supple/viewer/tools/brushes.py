@@ -116,7 +116,9 @@ class ImageTools(Tools[Viewport]):
         document = self.document
         if lead.follow == self._drag_corner:
             self._refused = document.trouble
-            return not document.dragging or document.commit() or True
+            if document.dragging:
+                document.commit()
+            return True
         if lead.follow == self._draw_line and math.hypot(*lead.gone) >= LEAST:
             known = document.state.rest.straighten or Straighten()
             document.set_rest(straighten=known.levelled(*(self.view.to_image(*end) for end in (lead.start, lead.now))))

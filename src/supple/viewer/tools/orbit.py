@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import pairwise
@@ -158,8 +157,3 @@ def faces_of(stage: Stage, camera: Camera, corner: Pair) -> tuple[Face, ...]:
             lit = max(float(normal @ light), 0.0)
             found.append(Face(name, corners, placed(normal), towards, lit, azimuth, elevation))
     return tuple(found)
-
-
-def face_at(faces: Sequence[Face], place: Pair) -> Face | None:
-    """Return the face at a position of the canvas."""
-    return next((face for face in faces if face.holds(*place)), None)

@@ -159,7 +159,9 @@ class VolumeTools(Tools[Camera]):
         """The face of the cube that a click would choose: the one under the pointer."""
         lead = self._lead(self._turn_cube)
         led = self._gesture is None or (lead is not None and not lead.moved)
-        return orbit.face_at(self.cube, self.pointer) if led and self.pointer is not None else None
+        if not led or self.pointer is None:
+            return None
+        return next((face for face in self.cube if face.holds(*self.pointer)), None)
 
     def _within(self, x: float, y: float) -> Pair:
         return x - self.corner[0], y - self.corner[1]
