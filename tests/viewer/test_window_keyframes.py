@@ -388,13 +388,13 @@ def test_a_long_message_is_below_the_timeline(gpu: Gpu, clip: Path, monkeypatch:
     from supple.viewer.panels import overlay
 
     bars: dict[str, tuple[float, float]] = {}
-    begin = overlay._begin_bar
+    pinned = overlay.pinned
 
-    def watched(name: str, top: float, wide: float, high: float, padding: tuple[float, float]) -> None:
-        bars[name] = top, high
-        begin(name, top, wide, high, padding)
+    def watched(name: str, place: Any, size: Any, padding: tuple[float, float]) -> Any:
+        bars[name] = place[1], size[1]
+        return pinned(name, place, size, padding)
 
-    monkeypatch.setattr(overlay, "_begin_bar", watched)
+    monkeypatch.setattr(overlay, "pinned", watched)
     view, hand = opened(clip)
     view.commands.message = "what is said here takes several lines of the window, " * 6
     for _ in range(2):
