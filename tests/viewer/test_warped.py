@@ -233,7 +233,8 @@ def test_frames_of_a_clip_are_those_of_the_warp(gpu: Gpu, tmp_path: Path, monkey
         pytest.skip("there is a hardware GPU")
     film = FrameCache(make(tmp_path / "clip.mp4"))
     stage, (width, height) = VideoStage(gpu, film), film.size
-    assert film.wait(0, 3, 30.0)
+    film.want(0, 3)
+    assert film.arrived(30.0)
     d = Deformation((height, width), border=None).grab((width / 2, height / 2), by=(9, 4), radius=12)
     texture = canvas_texture(gpu, film.size)
 
