@@ -90,7 +90,8 @@ class Hand:
         """Draw the window, in full."""
         view = self.view
         if view.stage.kind == "video":
-            assert view.stage.film.wait(*view.stage.needed(view.document.deformation, view.frame), 60.0)
+            view.stage.film.want(*view.stage.needed(view.document.deformation, view.frame))
+            assert view.stage.film.arrived(60.0)
         view.painter.coarse = 1
         view._changed_at = 0.0
         return np.asarray(self.canvas.draw())[..., :3]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,7 @@ import pytest
 from supple.deformation import Deformation
 from supple.engine.work import Mattes
 from supple.gpu.device import Gpu, _know_types
-from supple.gpu.plate import OVERLAYS, Plate, Sight, halved
+from supple.gpu.plate import BACK, OVERLAYS, Plate, Sight, halved
 from supple.gpu.screen import SWAPPED, canvas_texture, pixels_of
 from supple.space.freezing import Freeze
 from supple.strokes import Recipe, Stroke
@@ -254,7 +255,47 @@ def test_frames_of_a_clip_are_those_of_the_warp(gpu: Gpu, tmp_path: Path, monkey
     ready, kept = seen(3, True)
     assert not ready
     np.testing.assert_array_equal(kept, found)
+    sight = Sight((width - 30.0, 10.0), 1.0, (60, 30), 3.0)  # and another part is shown meanwhile
+    stage.expect((d,), sight)
+    part = canvas_texture(gpu, sight.size)
+    assert not stage.draw(d, sight, part)
+    np.testing.assert_array_equal(pixels_of(gpu, part)[:, :30], kept[10:40, width - 30 :])
     film.close()
+
+
+@pytest.mark.parametrize("scale", [0.3, 0.5, 1.0, 1.3, 4.0])
+@pytest.mark.parametrize("value", [0, 31, 255])
+def test_at_its_edges_a_picture_fades_into_the_ground(gpu: Gpu, scale: float, value: int) -> None:
+    pixels = np.full((60, 80, 4), value, np.uint8)
+    pixels[..., 3] = 255
+    seen = drawn(gpu, Warped(gpu, Levels(pixels)), bent(), Sight((-5.4, -3.7), scale, (150, 100)))[..., :3]
+    back = np.rint(255 * np.array(BACK)).astype(int)
+    assert (seen >= np.minimum(back, value)).all()
+    assert (seen <= np.maximum(back, value)).all()
+    inside = seen[
+        int(4.7 / scale) + 2 : min(int(63 / scale) - 1, 100), int(6.4 / scale) + 2 : min(int(84 / scale) - 1, 150)
+    ]
+    assert (inside == value).all()
+    assert (seen[0, 0] == back).all()
+
+
+@pytest.mark.parametrize(("ratio", "size"), [(1.5, (901, 701)), (1.25, (803, 633)), (1.0, (801, 601))])
+def test_pictures_are_drawn_at_100_percent_on_any_canvas(gpu: Gpu, ratio: float, size: tuple[int, int]) -> None:
+    pixels = smooth((217, 331))
+    view, hand = opened(pixels[..., :3], Recipe(border=None), ratio=ratio, size=size)
+    hand.key("1")
+    assert view.pixels().shape[2] == 3
+    for k in range(12):
+        view.tools.view = replace(view.tools.view, held=(view.tools.view.zoom, (100 + 7.3 * k, 90 + 5.1 * k)))
+        seen = view.pixels().astype(int)
+        assert (np.abs(seen - pixels[100, 150, :3]).max(axis=-1) <= 4).any()
+
+
+def test_textures_that_are_not_drawn_any_more_are_released(gpu: Gpu) -> None:
+    warped = Warped(gpu, Levels(smooth((ROWS, COLUMNS))))
+    for k in range(9):
+        drawn(gpu, warped, bent(), Sight((-50.0, -50.0), 1.0, (600 + k, 500)))
+    assert len(warped._drawn) <= 4
 
 
 @pytest.mark.parametrize("shape", [(6, 8), (7, 9), (1, 5)])

@@ -214,5 +214,5 @@ fn paint(@builtin(global_invocation_id) thread: vec3u) {
     } else if (settings.overlay == INVERSIONS) {
         shown = mix(shown, warm(seen.steps / 8.0), 0.6);
     }
-    textureStore(target_, id, vec4f(mix(settings.back.xyz, shown, cover), 1.0));
+    textureStore(target_, id, vec4f(mix(settings.back.xyz, shown, select(cover, 1.0, LAID)), 1.0));
 }

@@ -412,7 +412,8 @@ class FileCommands:
         self._spare(path)
         if what == "save mask":
             write_freeze(path, self.document.freeze, self.document.shape, self.document.geometry, force=force)
-        elif what == "save landmarks" and self.write_marks is not None:
+        elif what == "save landmarks":
+            assert self.write_marks is not None
             self.write_marks(path, force)
             self._marks = self.document.state.marks
         elif what == "copy":

@@ -158,7 +158,7 @@ class Slices:
 def _named(value: Any, colours: LabelColours) -> str:
     """Return the number of a label, with its name if it has one."""
     name = colours.names.get(int(value)) if np.isfinite(value) else None
-    return f"label {value:g}" + (f" ({name})" if name else "")
+    return f"label {value:.10g}" + (f" ({name})" if name else "")
 
 
 def first_window(volume: Volume, unit: str) -> tuple[float, float]:

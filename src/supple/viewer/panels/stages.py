@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from supple._core.rows import STROKE_DTYPE, numbers
+from supple._core.rows import numbers
 from supple.arrays import warp_array
 from supple.deformation import Deformation
 from supple.engine.sampling import DEFAULT, Sampling
@@ -197,7 +197,7 @@ _NOTHING: Rectangle = (1 << 30, 1 << 30, 0, 0)
 CELL = 32  # pixels: the core solves cells of this side as a whole
 _ROUGH = Sampling("cubic", tolerance=0.1)  # while a hand drags: the footprint takes more than half of the time
 _LINEAR = Sampling("linear")  # from pixels to those of the window, while a hand drags or where they are enlarged
-_ALIGNED = 1e-3  # pixels between the pixels of a level and those of the window that count as none
+_TEXTURES = 4  # that are drawn in turn: the result and its base, each at full size and during a drag
 _EDGE = 4  # pixels beyond those that the window shows, for the filter of its last ones
 _SMALLEST = 256  # pixels of the longer side of the smallest level
 
@@ -253,11 +253,12 @@ class Warped:
                 _cells(changed(self.shown.space, deformation.space), k) if deformation is not self.shown else _NOTHING
             )
             stale = _common(stale, _around(anew, self._rough) if sight.solved else anew)
-        self._place, self.shown = place, deformation
+        self._place, self.shown = place, None
         if stale[0] < stale[2] and stale[1] < stale[3]:
             self._rough = _NOTHING if sight.solved else _around(self._rough, stale)
             self._warp(deformation, sight, k, stale)
             self._drawn = {texture: (how, _around(known, stale)) for texture, (how, known) in self._drawn.items()}
+        self.shown = deformation
 
     def _warp(self, deformation: Deformation, sight: Sight, k: int, part: Rectangle) -> None:
         source, grid = self._levels.at(k)
@@ -290,8 +291,12 @@ class Warped:
 
     def _write(self, sight: Sight, texture: Any) -> None:
         """Write those pixels of a texture that differ from what a sight shows."""
+        x, y = (round(at, 3) for at in sight.origin)  # without noise, which would be a pixel more or less
+        sight = replace(sight, origin=(x, y))
         how = self._place, sight.origin, sight.scale, sight.size, sight.square, sight.solved
-        known, stale = self._drawn.get(texture, (None, _NOTHING))
+        known, stale = self._drawn.pop(texture, (None, _NOTHING))
+        while len(self._drawn) >= _TEXTURES:
+            del self._drawn[next(iter(self._drawn))]
         self._drawn[texture] = how, _NOTHING
         height, width = self.image.shape[:2]
         part = _common(_of_window(sight, (0, 0, width, height), 0), (0, 0, *sight.size))
@@ -305,7 +310,7 @@ class Warped:
 
     def _framed(self, sight: Sight, part: Rectangle) -> Pixels:
         """Return a part of what a sight shows, blended with the background where the image covers pixels in part."""
-        made, back = self._scaled(sight, part), _back(sight)
+        made, back = self._scaled(sight, part), _back(sight).astype(np.float32)
         for axis, n in enumerate(self.image.shape[1::-1]):
             at = sight.origin[axis] + sight.scale * np.arange(part[axis], part[2 + axis])
             cover = np.clip(np.minimum(at + 0.5, n - 0.5 - at) / sight.scale + 0.5, 0, 1)
@@ -319,9 +324,8 @@ class Warped:
         k, (left, top, *_) = self._place
         ratio, (x0, y0, x1, y1) = sight.scale / 2**k, part
         first = [(at + 0.5) / 2**k - 0.5 - corner for at, corner in zip(sight.origin, (left, top), strict=True)]
-        nearest = [round(at) for at in first]
-        if ratio == 1 and max(abs(at - whole) for at, whole in zip(first, nearest, strict=True)) < _ALIGNED:
-            rows, columns = (slice(nearest[n] + part[n], nearest[n] + part[2 + n]) for n in (1, 0))
+        if ratio == 1 and all(at.is_integer() for at in first):
+            rows, columns = (slice(int(first[n]) + part[n], int(first[n]) + part[2 + n]) for n in (1, 0))
             made = self._pixels[rows, columns].copy()
         else:
             how = self._place, sight.origin, sight.scale, sight.size
@@ -430,9 +434,6 @@ def _around(one: Rectangle, other: Rectangle) -> Rectangle:
     return min(one[0], other[0]), min(one[1], other[1]), max(one[2], other[2]), max(one[3], other[3])
 
 
-_PLAIN = np.zeros(0, STROKE_DTYPE)
-
-
 Point = tuple[float, ...]
 _OVERLAID = "the overlay leaves out freezes after the first stroke, and mattes"
 SLOW = 0.5  # seconds: what takes longer is announced
@@ -474,6 +475,7 @@ class ImageStage:
         self.name, self.size = name, size
         self.trouble = ""  # the reason why the display is incomplete
         self._warped: list[Warped] = []  # the result, and its base beside it, where the CPU warps
+        self._brought: list[tuple[Deformation, Warped]] = []  # those of them that the next drawing needs
         self._under: tuple[Deformation, Point, Point] | None = None
 
     def solves(self, deformations: tuple[Deformation, ...], sight: Sight) -> bool:
@@ -488,24 +490,24 @@ class ImageStage:
         """Prepare the next drawing: warp the image, where the device does not."""
         several = any(isinstance(deformation.space.freeze, Mattes) for deformation in deformations)
         self.trouble = _OVERLAID if several and sight.overlay else ""
-        pixels = self._frame(sight.time)
-        if pixels is None or not any(map(self._warps, deformations)):
+        pixels, self._brought = self._frame(sight.time), []
+        if not any(map(self._warps, deformations)):
             return
-        if not self._warped or self._warped[0].image is not pixels:
+        if pixels is not None and (not self._warped or self._warped[0].image is not pixels):
             levels = Levels(pixels)
             self._warped = [Warped(self._gpu, levels), Warped(self._gpu, levels)]
         for deformation, warped in zip(deformations, self._warped, strict=False):
-            if self._warps(deformation):
+            if self._warps(deformation):  # while a frame is decoded, the one before it
                 warped.bring(deformation, sight)
+                self._brought.append((deformation, warped))
 
     def draw(self, deformation: Deformation, sight: Sight, texture: Any, encoder: Any = None) -> bool:
         """Draw the visible part, or record it into an encoder; return whether it is complete."""
-        by_cpu = self._warps(deformation)
-        own = next((warped for warped in self._warped if warped.shown is deformation), None) if by_cpu else None
+        own = next((warped for brought, warped in self._brought if brought is deformation), None)
         for warped in self._warped:
             if warped is not own:
                 warped.forget(texture)
-        if not by_cpu:
+        if not self._warps(deformation):
             self._drawn(deformation, sight, texture, encoder)
             return True
         if own is not None:

@@ -158,7 +158,6 @@ class Painter:
             self.stage.expect(seen, shot.sight)
             self._adapts = self.stage.solves(seen, shot.sight)
             if not self._adapts:
-                self.coarse = 1
                 wait(self.gpu)  # until here, the device may draw the last image, while this one is warped
         self._begun = time.perf_counter()
         textures = [self._drawn(k, shot, deformation, encoder) for k, deformation in enumerate(seen)]
@@ -180,7 +179,7 @@ class Painter:
             self.coarse -= 1
 
     def _drawn(self, k: int, shot: Shot, deformation: Deformation, encoder: Any) -> Any:
-        stage, sight, coarse = self.stage, shot.sight, 1 if shot.sight.solved else self.coarse
+        stage, sight, coarse = self.stage, shot.sight, self.coarse if self._adapts and not shot.sight.solved else 1
         size = (max(1, -(-sight.size[0] // coarse)), max(1, -(-sight.size[1] // coarse)))
         by_cpu = stage.previews if isinstance(stage, VolumeStage) else not self._adapts
         key = k, size, self.format if by_cpu else PLAIN

@@ -53,10 +53,10 @@ def pinned(
     imgui.push_style_color(imgui.Col_.window_bg, ground)
     flags = imgui.WindowFlags_.no_decoration | imgui.WindowFlags_.no_move
     imgui.begin(name, None, flags | imgui.WindowFlags_.no_bring_to_front_on_focus)
+    imgui.pop_style_color()
+    imgui.pop_style_var(2)  # not for hints over it
     yield
     imgui.end()
-    imgui.pop_style_color()
-    imgui.pop_style_var(2)
 
 
 def label(text: str, tip: str = "", picture: Callable[[], None] | None = None) -> None:
