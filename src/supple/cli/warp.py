@@ -139,7 +139,8 @@ def warp(
         strokes.read, maps, reading, console.arguments,
         reference=output.onto, frames=typed, empty=grid is not None,
     )  # fmt: skip
-    alone = len(paths) == 2 and paths[0] != STREAM and not os.path.isdir(paths[0]) and not glob.has_magic(paths[0])
+    several_files = not is_store(paths[0]) and (os.path.isdir(paths[0]) or glob.has_magic(paths[0]))
+    alone = len(paths) == 2 and paths[0] != STREAM and not several_files
 
     edits = edits_of(paths[0], target=paths[-1] if alone else None)
     for option, value in {"--track": tracks.track, "--save-recipe": save_recipe}.items():
@@ -183,7 +184,7 @@ def warp(
     single = len(paths) == 2 and not _stands_for_several(paths[0]) and not holds_volumes(paths[0])
     stored = next(filter(is_store, paths), "")
     if stored and STREAM in paths:
-        raise SuppleError(f"{shown(stored)} is a Zarr store, and standard input or standard output is none: name one")
+        raise SuppleError(f"{shown(stored)} is a Zarr store, which standard input or output cannot be: name a file")
     if stored and not single:
         raise SuppleError(f"{shown(stored)} is a Zarr store, and stores are written one at a time: name one, and OUT")
     into = os.path.isdir(paths[-1]) or paths[-1].endswith(("/", os.sep))
@@ -329,7 +330,8 @@ def _stands_for_several(source: str) -> bool:
     """Return whether a source is a pattern of several files, whose outputs go into a folder."""
     from supple.media.numbering import has_number
 
-    return glob.has_magic(source) and not has_number(source) and not os.path.exists(source)
+    pattern = glob.has_magic(source) and "://" not in source and not has_number(source)
+    return pattern and not os.path.exists(source)
 
 
 def _check_apart(save_recipe: str | None, paths: Iterable[str | Path | None]) -> None:
@@ -402,7 +404,7 @@ def plan(
     grid = output.to_grid()
     reading = volume.to_reading(labels=labels)
     edits = strokes.read(
-        maps, reading, console.arguments, source, target=source, reference=output.onto, empty=grid is not None
+        maps, reading, console.arguments, source, target=PLANNED, reference=output.onto, empty=grid is not None
     )
     known, outside = sampling.to_sampling(bool(edits.maps) or output.onto is not None)
     job = Job(

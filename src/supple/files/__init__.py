@@ -32,7 +32,7 @@ def warp_file(
     device: str = "cpu",
     force: bool = False,
     progress: bool | Callable[[str], None] = False,
-    tell: Tell = silent,
+    tell: Tell | None = None,
     clip: ClipOptions | None = None,
     volume: VolumeOptions | None = None,
     fit: Fit | None = None,
@@ -139,4 +139,4 @@ def warp_file(
         source, target, recipe, Sampling(filter, tolerance, outside or "edge", fill, linear_light), outside, clamp,
         quality, lossless, device, force, known, volume or VolumeOptions(), fit, maps, grid,
         compression, running or Running(),
-    ).warp(progress, tell)  # fmt: skip
+    ).warp(progress, tell or silent)  # fmt: skip

@@ -98,7 +98,7 @@ class Job:
     def check_options(self) -> None:
         """Raise SuppleError for options that the kind of file does not have."""
         medium = self.medium
-        name = medium.name if medium.kind != "store" or is_store(self.source) else shown(self.target)
+        name = medium.name if medium.kind != "store" or is_store(self.source) else "the output"
         noun = "Zarr store" if medium.kind == "store" else medium.kind
         if medium.kind not in ("volume", "store"):
             refuse_places(self.recipe, self.source)

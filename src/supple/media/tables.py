@@ -67,12 +67,8 @@ class Table:
         return self.mark + "".join(self.delimiter.join(cells) + end for cells, end in zip(records, ends, strict=True))
 
 
-def parsed(
-    name: str, text: str, *, fcsv: bool, third: tuple[str, ...] = ("z", "t", "frame")
-) -> tuple[Table, Floats, str, tuple[str, ...], str]:
+def parsed(name: str, text: str, *, fcsv: bool) -> tuple[Table, Floats, str, tuple[str, ...], str]:
     """Return a table, its points (N, 2) or (N, 3), their convention and labels, and the source of the convention.
-
-    The third coordinate is in a column with one of the names ``third``.
 
     The source is "said", "mm" or "names" (x, y and z with that unit, or without any), or empty; SuppleError names the
     line at fault.
@@ -93,7 +89,7 @@ def parsed(
             if said not in _SYSTEMS:
                 _refuse(name, records[k], f"the coordinate system {value_shown(said)} is unknown", "give LPS or RAS")
             stated, told = _SYSTEMS[said], "said"
-    header, columns, convention = _headed(name, records, comments, data, third, fcsv)
+    header, columns, convention = _headed(name, records, comments, data, fcsv)
     if not told and header is not None:
         words = (set(re.findall("[a-z]+", bare(records[header].cells[c]).lower())) for c in columns)
         units = {"mm" if "mm" in each else "px" if each & _COUNTED else "" for each in words}
@@ -180,7 +176,7 @@ def _coordinate(name: str, record: _Record, column: int) -> float:
 
 
 def _headed(
-    name: str, records: list[_Record], comments: list[int], data: list[int], third: tuple[str, ...], fcsv: bool
+    name: str, records: list[_Record], comments: list[int], data: list[int], fcsv: bool
 ) -> tuple[int | None, tuple[int, ...], str | None]:
     """Return the header row or None, the columns of coordinates, and the convention that their names imply or None."""
     first = records[data[0]]
@@ -191,7 +187,7 @@ def _headed(
         rows = [k for k in comments[-1:] if len(records[k].cells) == len(first.cells)] if numbers else data[:1]
     for k in rows:
         start, *rest = records[k].cells
-        axes = _axes(name, records[k], [_COLUMNS.sub("", start).lstrip(" \t#"), *rest], third)
+        axes = _axes(name, records[k], [_COLUMNS.sub("", start).lstrip(" \t#"), *rest])
         if axes is not None and (len(axes[0]) == 3 or not fcsv):
             return None if fcsv else k, *axes
         if fcsv:
@@ -204,16 +200,14 @@ def _headed(
     return None, tuple(numbers[:3]) or (1, 2, 3), None
 
 
-def _axes(
-    name: str, record: _Record, names: list[str], third: tuple[str, ...]
-) -> tuple[tuple[int, ...], str | None] | None:
+def _axes(name: str, record: _Record, names: list[str]) -> tuple[tuple[int, ...], str | None] | None:
     plain = [_UNIT.sub("", bare(cell).lower()) for cell in names]
     loose = [(found[1] or found[2]) if (found := _AROUND.fullmatch(cell)) else cell for cell in plain]
     kinds: list[tuple[list[str], str, str | None]] = [(plain, "xy", None), (loose, "xy", None)]
     kinds += [(plain, *triple) for triple in _TRIPLES.items()]
     for known, axes, convention in kinds:
         if set(axes) <= set(known):
-            last = [axis for axis in third if axis in known][:1] if axes == "xy" else []
+            last = [axis for axis in ("z", "t", "frame") if axis in known][:1] if axes == "xy" else []
             for axis in (*axes, *last):
                 if known.count(axis) > 1:
                     _refuse(name, record, f"several columns are named {axis}", "leave the name to one")

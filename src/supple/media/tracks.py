@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -9,7 +10,6 @@ from typing import Literal, NamedTuple, get_args
 
 from supple.errors import shown
 from supple.media.files import PathLike, head_of, unreadable
-from supple.media.tables import bare, parsed
 from supple.media.timecode import PATTERN
 from supple.space.checks import LARGEST, LONGEST_AXIS, choice, value_shown
 
@@ -19,6 +19,7 @@ CONVENTIONS: tuple[str, ...] = get_args(Convention)
 _GIVE = "give a table frame,x,y, curves of Nuke, or keyframes copied from After Effects"
 _FIRST = {"pixels": 0, "nuke": 1, "ae": 0}  # the number of a clip's first frame, by convention
 _AE = "Adobe After Effects"
+_COLUMNS = ("frame", "x", "y", "name")
 _CURVE = re.compile(r"\{\s*curve\b([^{}]*)\}")
 _PAIR = re.compile(r"\{\s*\{\s*curve\b([^{}]*)\}\s*\{\s*curve\b([^{}]*)\}\s*\}")
 _POINTS = re.compile(r"(?:track|to)\d*")
@@ -124,22 +125,48 @@ def _ordered(path: PathLike, keys: Sequence[_Key]) -> list[tuple[int, float, flo
 
 def _table(path: PathLike, text: str) -> tuple[bool, _Keys]:
     """Return whether a table has a header, and its tracks."""
-    if not re.search(r"(?m)^[^#\n]*[\t;,]", text):
-        text = re.sub(r"(?<=\S) +(?=\S)", ",", text)
-    table, points, _, labels, _ = parsed(shown(path), text, fcsv=False, third=("frame",))
-    headed, rows = table.header is not None, [table.records[row] for row in table.rows]
-    rest = [k for k in range(len(rows[0].cells)) if k not in table.columns]
-    last = "frame" if table.header is None else table.records[table.header].cells[table.columns[-1]].lower()
-    if points.shape[1] < 3 or "frame" not in last or (not headed and len(rest) > 1):
-        raise unreadable(path, f"line {rows[0].line}: its columns are not a frame, x and y, and a name besides", _GIVE)
+    lines = [(n, line.strip()) for n, line in enumerate(text.split("\n"), 1)]
+    rows = [(n, _cells(line)) for n, line in lines if line and not line.startswith("#")]
+    if not rows:
+        raise unreadable(path, "it holds no tracks", _GIVE)
+    number, head = rows[0]
+    width, headed = len(head), not any(map(_is_number, head))
+    columns = {column: k for k, column in enumerate(_COLUMNS[:width])}
     if headed:
-        points = points[:, [2, 0, 1]]
-    elif rest:
-        labels = tuple(bare(row.cells[rest[0]]) for row in rows)
+        names = [cell.lower() for cell in head]
+        missing = [column for column in _COLUMNS[:3] if names.count(column) != 1]
+        if missing:
+            what = f"its columns are {value_shown(', '.join(head))}, without one named {missing[0]}"
+            raise unreadable(path, f"line {number}: {what}", _GIVE)
+        columns = {column: names.index(column) for column in _COLUMNS if column in names}
     keys: _Keys = {}
-    for row, label, values in zip(rows, labels, points.tolist(), strict=True):
-        keys.setdefault(label, []).append(_Key(f"line {row.line}", *values))
+    for number, cells in rows[headed:]:
+        if len(cells) != width or (not headed and width not in (3, 4)):
+            wanted = (
+                f"{width}, as the first line has" if headed or width in (3, 4) else "frame, x, y, or a name besides"
+            )
+            raise unreadable(path, f"line {number}: it has {len(cells)} columns", f"give {wanted}")
+        for column in _COLUMNS[:3]:
+            if not _is_number(cell := cells[columns[column]]):
+                raise unreadable(path, f"line {number}: {column} is {value_shown(cell)}", "give a number")
+        label = cells[columns["name"]] if "name" in columns else ""
+        values = (float(cells[columns[column]]) for column in _COLUMNS[:3])
+        keys.setdefault(label, []).append(_Key(f"line {number}", *values))
+    if not keys:
+        raise unreadable(path, "it has a header alone", "give the frames and positions below it")
     return headed, keys
+
+
+def _cells(line: str) -> list[str]:
+    separator = next((mark for mark in ("\t", ";", ",") if mark in line), None)
+    return [cell.strip().strip("\"'") for cell in line.split(separator)]
+
+
+def _is_number(text: str) -> bool:
+    try:
+        return not math.isnan(float(text))
+    except ValueError:
+        return False
 
 
 def _after_effects(path: PathLike, text: str) -> _Keys:
@@ -161,14 +188,9 @@ def _after_effects(path: PathLike, text: str) -> _Keys:
             continue
         if not cells[0]:
             continue  # a constant value has no frame
-        try:
-            if len([*filter(None, cells)]) != len([*filter(None, columns)]):
-                raise ValueError
-            key = _Key(f"line {number}", *map(float, cells[:3]))
-        except ValueError:
-            what = f"line {number}: it is {value_shown(line.strip())}"
-            raise unreadable(path, what, "give a frame, x and y") from None
-        keys.setdefault(label, []).append(key)
+        if len([*filter(None, cells)]) != len([*filter(None, columns)]) or not all(map(_is_number, cells[:3])):
+            raise unreadable(path, f"line {number}: it is {value_shown(line.strip())}", "give a frame, x and y")
+        keys.setdefault(label, []).append(_Key(f"line {number}", *map(float, cells[:3])))
     if not keys:
         raise unreadable(path, "none of its keyframes are positions", "copy those of a position or a tracker")
     if not end:

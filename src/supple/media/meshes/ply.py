@@ -21,6 +21,7 @@ _ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 _HEADER = re.compile(rb"ply\s*\n.*?\n\s*end_header[ \t]*\r?\n", re.DOTALL)
 _LINE = re.compile(rb"[^\r\n]*\S[^\r\n]*")
 _PLACE, _NORMAL = ["x", "y", "z"], ["nx", "ny", "nz"]
+_INDICES = ("vertex_indices", "vertex_index", "vertex1", "vertex2")
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,41 +121,45 @@ def _text(
 
 
 class _Rest:
-    """A reader of the elements after the vertices, in order; those in text are read as if they were binary doubles."""
+    """A reader of the elements after the vertices, in order."""
 
     def __init__(self, data: bytes, order: str) -> None:
-        self.text, self.order, self.at = not order, order, 0
-        self.data = data if order else np.array(data.split()).astype(np.float64).tobytes()
+        self.order, self.at = order, 0
+        self.held: Any = data if order else data.split()
 
     def element(self, known: _Element) -> dict[str, meshes.Runs]:
         """Read an element; return, for each property, its values and their number in each row."""
-        if self.text:
-            doubles = [(name, "f8", "f8" if length else "") for name, _, length in known.properties]
-            known = _Element(known.name, known.count, doubles)
-        if not known.count:
-            return {name: meshes.NO_RUNS for name, *_ in known.properties}
-        start, first = self.at, self._row(known)
-        fields: list[Any] = []
+        if self.order and known.count and (found := self._alike(known)) is not None:
+            return found
+        rows: dict[str, list[list[int]]] = {name: [] for name, *_ in known.properties}
+        for _ in range(known.count):
+            for name, kind, length in known.properties:
+                rows[name].append(self._taken(name, self._taken("", 1, length)[0] if length else 1, kind))
+        return {name: meshes.joined(each) for name, each in rows.items()}
+
+    def _alike(self, known: _Element) -> dict[str, meshes.Runs] | None:
+        """Read binary rows at once, if all their lists have the length of the first row's, as is usual; else None."""
+        start, fields, sizes = self.at, [], {}
         for name, kind, length in known.properties:
+            sizes[name] = int(self._taken("", 1, length)[0]) if length else 1
+            self._taken(name, sizes[name], kind)
             fields += [(f"#{name}", self.order + length)] if length else []
-            fields.append((name, self.order + kind, *([len(first[name])] if length else [])))
+            fields.append((name, self.order + kind, *([sizes[name]] if length else [])))  # type: ignore[arg-type]
+        self.at = start
         rows = np.dtype(fields)
-        if start + known.count * rows.itemsize <= len(self.data):  # at once, if all lists are as long as the first ones
-            found = np.frombuffer(self.data, rows, known.count, start)
-            if all((found[f"#{name}"] == len(first[name])).all() for name, _, length in known.properties if length):
-                self.at = start + found.nbytes
-                return {name: (found[name], np.full(known.count, len(each))) for name, each in first.items()}
-        each = [first, *(self._row(known) for _ in range(known.count - 1))]
-        return {name: meshes.joined([row[name] for row in each]) for name in first}
+        if start + known.count * rows.itemsize > len(self.held):
+            return None
+        found = np.frombuffer(self.held, rows, known.count, start)
+        if not all((found[f"#{name}"] == sizes[name]).all() for name, _, length in known.properties if length):
+            return None
+        self.at += found.nbytes
+        return {name: (found[name], np.full(known.count, sizes[name])) for name, *_ in known.properties}
 
-    def _row(self, known: _Element) -> dict[str, list[Any]]:
-        """Read the values of each property in a row; ValueError if they end early."""
-
-        def taken(many: int, kind: str) -> list[Any]:
-            if many < 0:
-                raise ValueError("a list has less than no values")
-            found = np.frombuffer(self.data, self.order + kind, many, self.at)
-            self.at += found.nbytes
-            return list(found.tolist())
-
-        return {name: taken(int(taken(1, length)[0]) if length else 1, kind) for name, kind, length in known.properties}
+    def _taken(self, name: str, many: int, kind: str) -> list[Any]:
+        """Read values of a property, or a list's length (no ``name``); in text, values that are not indices are []."""
+        start, self.at = self.at, self.at + many * (np.dtype(kind).itemsize if self.order else 1)
+        if many < 0 or self.at > len(self.held):
+            raise ValueError("it ends before its faces do")
+        if self.order:
+            return list(np.frombuffer(self.held, self.order + kind, many, start).tolist())
+        return [int(word) for word in self.held[start : self.at]] if not name or name in _INDICES else []
