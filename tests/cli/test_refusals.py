@@ -438,6 +438,8 @@ REFUSED: dict[str, list[tuple[str, str]]] = {
         ("warp in.png p.zarr FLAT --quality 9", "--quality is for pictures and clips, and the output is a Zarr store"),
         ("warp in.zarr out.zarr DEEP", "in.zarr is a picture … two numbers"),
         ("warp memory://none/in.zarr out.zarr FLAT --workers 2", "memory of this process"),
+        ("warp memory://none/[in].zarr?a=1 out.zarr FLAT", "there is no Zarr array or group"),
+        ("warp in.zarr out FLAT", "in.zarr is a Zarr store, and becomes one … name one, such as out.zarr"),
         ("warp in.png out.png FLAT --workers 2", "--workers is for Zarr stores, and in.png is a picture"),
         ("warp in.zarr missing/out.zarr FLAT", "missing"),
         ("warp in.nii out.jpg DRAG", "no format that volumes are written in"),

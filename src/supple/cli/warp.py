@@ -184,7 +184,7 @@ def warp(
     single = len(paths) == 2 and not _stands_for_several(paths[0]) and not holds_volumes(paths[0])
     stored = next(filter(is_store, paths), "")
     if stored and STREAM in paths:
-        raise SuppleError(f"{shown(stored)} is a Zarr store, which standard input or output cannot be: name a file")
+        raise SuppleError(f"{shown(stored)} is a Zarr store, and standard output or input cannot be used: name a file")
     if stored and not single:
         raise SuppleError(f"{shown(stored)} is a Zarr store, and stores are written one at a time: name one, and OUT")
     into = os.path.isdir(paths[-1]) or paths[-1].endswith(("/", os.sep))
