@@ -312,7 +312,10 @@ class Warped:
         """Return a part of what a sight shows, blended with the background where the image covers pixels in part."""
         made, back = self._scaled(sight, part), _back(sight).astype(np.float32)
         for axis, n in enumerate(self.image.shape[1::-1]):
-            at = sight.origin[axis] + sight.scale * np.arange(part[axis], part[2 + axis])
+            low, high = (sight.origin[axis] + sight.scale * end for end in (part[axis], part[2 + axis] - 1))
+            if min(low + 0.5, n - 0.5 - high) >= sight.scale / 2:
+                continue  # it covers them whole
+            at = np.arange(part[axis], part[2 + axis]) * sight.scale + sight.origin[axis]
             cover = np.clip(np.minimum(at + 0.5, n - 0.5 - at) / sight.scale + 0.5, 0, 1)
             for j in np.flatnonzero(cover < 1):
                 line = made[j] if axis else made[:, j]
