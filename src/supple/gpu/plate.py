@@ -44,12 +44,12 @@ class _Sheet:
         self.gpu, self.texture, self.view = gpu, texture, texture.create_view()
         self.buffers = {name: Kept(gpu) for name in ("settings", "domain", "strokes", "mask")}
         self.bound = Bound()
-        self._drawn: tuple[Any, ...] = (None, self, {}, b"")  # ``self`` is unlike any mask, and unlike None
+        self._drawn: tuple[Any, ...] = (None, self, b"")  # ``self`` is unlike any mask, and unlike None
 
-    def update(self, table: npt.NDArray[np.void], axes: Floats, freeze: Mask | None, settings: dict[str, Any]) -> None:
+    def update(self, table: npt.NDArray[np.void], axes: Floats, freeze: Mask | None) -> None:
         """Upload changes since the last draw. Identity tells tables and masks apart."""
-        before, drawn = self._drawn, (table, freeze, settings, axes.tobytes())
-        if before[0] is table and before[1] is freeze and before[2:] == drawn[2:]:
+        before, drawn = self._drawn, (table, freeze, axes.tobytes())
+        if before[0] is table and before[1] is freeze and before[2] == drawn[2]:
             return
         self.buffers["domain"].hold(domain(axes, freeze))
         self.buffers["strokes"].hold(packed(table))
@@ -115,7 +115,7 @@ class _Drawn:
             "DRAGGED": not sight.solved and sight.overlay not in ("residual", "inversions"),
             "LAID": self._laid,
         }
-        sheet.update(table, axes, freeze, settings | chosen)
+        sheet.update(table, axes, freeze)
         text = source("plate")
         made = module(gpu, text)
         sheet.buffers["settings"].hold(made.values(settings))

@@ -1,4 +1,4 @@
-"""What open videos and image sequences share: their frames, a warning and an error."""
+"""Frames of open videos and image sequences, and their warning and error."""
 
 from __future__ import annotations
 

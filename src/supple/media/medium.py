@@ -56,7 +56,7 @@ class Medium:
 
     @cached_property
     def stored(self) -> Source:
-        """What is read and written block by block: a store, or a picture or volume that becomes one."""
+        """A source that is read and written block by block: a store, or a picture or volume that becomes one."""
         from supple.media.stores.inputs import open_source
 
         if not is_store(self.path) and opened(self.path, self.path, axes=self.axes, how=self.how).kind == "clip":

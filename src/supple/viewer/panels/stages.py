@@ -234,7 +234,7 @@ class Warped:
         self._map: tuple[object, Space, Grid] | None = None  # from that part to a window, and the window's grid
         self._rough: Rectangle = _NOTHING  # around the parts warped during a drag, which are warped again after it
         self._drawn: dict[Any, tuple[object, Rectangle]] = {}  # what each texture shows, and what is warped anew since
-        self._overlay = Overlay(gpu, levels.at(0)[0].shape[1::-1])
+        self._overlay = Overlay(gpu, self.image.shape[1::-1])
         self._plain: Any = None  # the texture of what lies under an overlay
         self.shown: Deformation | None = None
 
@@ -341,7 +341,7 @@ class Warped:
         if not self._levels.has_alpha:
             return made
         y, x = np.ogrid[y0:y1, x0:x1]
-        square = max(sight.square, 1.0)
+        square = max(sight.square, 1.0)  # and greys, as in plate.wgsl
         odd = ((x + 0.5) // square + (y + 0.5) // square) % 2 > 0
         opacity = made[..., 3:] / np.float32(255)
         solid = np.full_like(made, 255)
