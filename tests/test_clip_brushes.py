@@ -153,11 +153,11 @@ def test_any_strokes_are_one_to_one_and_their_plans_hold_every_point(seed: int, 
     assert d.resolution()["margin"] > 0
     rng, z = np.random.default_rng(seed), int(np.random.default_rng(seed).integers(SHAPE[0]))
     plan = plan_of(d.space, z, 0.01)
-    assert plan.unsolved == 0
+    assert plan.checks[2] == 0
     q = np.column_stack([rng.uniform(0, 1, (400, 2)) * SIZE[:2], np.full(400, float(z))]).round()
     exact = d.inverse(q).points
     low, high = (np.array(ends) for ends in plan.extent()[:2])
-    slack = plan.error + 1e-6
+    slack = plan.checks[0] + 1e-6
     assert (exact >= low - slack).all()
     assert (exact <= high + slack).all()
     # What no stroke reaches keeps every bit.
@@ -166,7 +166,7 @@ def test_any_strokes_are_one_to_one_and_their_plans_hold_every_point(seed: int, 
     plan.points(whole := np.empty((*SHAPE[1:], 3)))
     shown = whole[q[:, 1].astype(int), q[:, 0].astype(int)]
     np.testing.assert_array_equal(shown[away], q[away])
-    assert np.linalg.norm(shown - exact, axis=1).max() <= max(plan.error, 0.01) + 1e-4
+    assert np.linalg.norm(shown - exact, axis=1).max() <= max(plan.checks[0], 0.01) + 1e-4
 
 
 @pytest.mark.parametrize("flat", [0.0, 0.4, 0.9])

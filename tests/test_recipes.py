@@ -275,8 +275,8 @@ class TestFields:
             ("space", '"RAS"', 'space must be "pixels" where points have 2 numbers, found '),
             ("size", "[640]", "size must be 2 numbers of samples, x first, found [640]"),
             ("size", "[640, 480, 9]", "size must be 2 numbers of samples"),
-            ("size", "[640, 0]", "size[1] must be a whole number from 1 to "),
-            ("size", "[640, 480.5]", "size[1] must be a whole number from 1 to "),
+            ("size", "[640, 0]", "size[1] must be an integer from 1 to "),
+            ("size", "[640, 480.5]", "size[1] must be an integer from 1 to "),
         ],
     )
     def test_wrong_values(self, name: str, value: str, message: str) -> None:

@@ -179,6 +179,11 @@ class TestTheFrame:
             j = made.jacobian((40, 30))
             np.testing.assert_allclose(j.T @ j, np.eye(2) * np.linalg.det(j), atol=1e-12)
 
+    @pytest.mark.parametrize(("width", "height"), [(1, 1), (3, 2), (5, 3), (7, 4), (9, 5)])
+    def test_half_a_pixel_is_a_pixel(self, width: int, height: int) -> None:
+        for fit in ("crop", "pad", "keep"):
+            assert Straighten(scale_to=(width,), fit=fit).on((40, 20))[1] == (width, height)
+
     def test_nothing_asked_changes_no_bit(self) -> None:
         source = np.random.default_rng(0).integers(0, 256, (20, 30), np.uint8)
         made = Deformation((20, 30)).straighten()

@@ -310,7 +310,7 @@ def warp_batch(
     sampling = Sampling.of(sampling, options, spaces[0].ndim)
     if is_on_device(sources):
         result, certificate = _on_device(sources, spaces, sampling, alpha, False, device, out, batch=True)
-        warn_of(certificate, sampling.tolerance, 3)
+        warn_of(certificate, sampling.tolerance)
         return result
     held = array_of(sources, "sources")
     shape = spaces[0].whole
@@ -326,7 +326,7 @@ def warp_batch(
             _, certificate = warp_array(item, space, sampling, alpha=alpha, device=device, out=result[k])
         except SuppleError as error:
             raise type(error)(f"item {k}: {error}" if len(spaces) > 1 else str(error)) from None
-        warn_of(certificate, sampling.tolerance, 3)
+        warn_of(certificate, sampling.tolerance)
     return result
 
 

@@ -121,8 +121,8 @@ def _first_axis(shape: tuple[int, ...], bent: tuple[int, ...], axes: Sequence[in
     raise SuppleError(f"{text}channels")
 
 
-def _warped(array: Any, job: Warp, chunks: Any, first: int, stacklevel: int = 4) -> da.Array:
-    """Return the warped array; warnings point at the line that called `warp`."""
+def _warped(array: Any, job: Warp, chunks: Any, first: int) -> da.Array:
+    """Return the warped array."""
     n, dims = job.deformation.ndim, len(array.shape)
     last = first + n  # the axis after the bent ones
     dtype = np.dtype(array.dtype)
@@ -135,7 +135,7 @@ def _warped(array: Any, job: Warp, chunks: Any, first: int, stacklevel: int = 4)
         array = array.rechunk(dict.fromkeys(range(last, dims), -1))  # type: ignore[no-untyped-call]
     boxes = list(boxes_of(blocks[first:last]))
     planned, certificate = job.plan(boxes, _everywhere)
-    warn_of(certificate, job.sampling.tolerance, stacklevel)
+    warn_of(certificate, job.sampling.tolerance)
 
     name = f"warp-{tokenize(array, job.deformation, job.sampling, job.grid, job.alpha, blocks)}"
     graph: dict[Any, Any] = {(name, "job"): job}
@@ -245,7 +245,7 @@ def _of_xarray(array: Any, job: Warp, chunks: Any, axes: Sequence[int] | None) -
         if not set(chunks) <= set(array.dims):
             refuse("chunks", f"sizes by the names of the axes, {', '.join(map(str, array.dims))}", chunks)
         chunks = tuple(chunks.get(name, 1 if axis < first else -1) for axis, name in enumerate(array.dims))
-    made = _warped(array.data, job, chunks, first, 5)
+    made = _warped(array.data, job, chunks, first)
     bent = array.dims[first : first + job.deformation.ndim]
     coords = dict(array.coords)
     grid, own = job.grid, job.deformation.grid

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import sys
+import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextvars import ContextVar
 from dataclasses import dataclass, replace
@@ -172,9 +173,16 @@ class GapWarning(UserWarning):
 def caller() -> int:
     """Return the ``stacklevel`` by which a warning of the calling function names the first caller outside Supple."""
     level, frame = 1, sys._getframe(1)
-    while frame.f_back is not None and frame.f_globals.get("__name__", "").partition(".")[0] == "supple":
+    # Those of the standard library call what Supple decorates: properties that are cached, and contexts.
+    own = ("supple", "contextlib", "functools")
+    while frame.f_back is not None and frame.f_globals.get("__name__", "").partition(".")[0] in own:
         level, frame = level + 1, frame.f_back
     return level
+
+
+def warn(text: str, category: type[Warning]) -> None:
+    """Warn, with the line of the first caller outside Supple."""
+    warnings.warn(text, category, stacklevel=caller())
 
 
 def said(error: BaseException) -> str:

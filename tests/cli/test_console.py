@@ -123,7 +123,7 @@ def test_strict_holds_for_warnings_after_the_last_frame(
     source, target, strokes = MEDIA[medium]
     Path(target).write_bytes(b"mine")
 
-    def warn_of(*_: object) -> None:
+    def warn_of(*_: object, **__: object) -> None:
         warnings.warn("the map may be off", ToleranceWarning, stacklevel=2)
 
     monkeypatch.setattr(module, "warn_of", warn_of)

@@ -66,6 +66,17 @@ def test_a_jpeg_is_filled_with_black_and_keeps_its_size_and_its_profile_right(ru
     assert np.abs(made.numpy()[0, 0].astype(int)).max() < 12
 
 
+def test_sizes_are_written_in_two_ways(run: Run, here: Path) -> None:
+    for k, size in enumerate(("30,20", "30x20", "30 X 20", "30×20")):
+        assert run("warp", "in.png", f"{k}.png", "--scale-to", size)[0] == 0
+        assert image.read(f"{k}.png").pixels.shape[:2] == (20, 30)
+    (here / "in.raw").write_bytes(bytes(range(120)))
+    for k, (shape, size) in enumerate((("6,5,4", "40,30"), ("6x5x4", "40x30"))):
+        layout = ("--shape", shape, "--dtype", "uint8")
+        assert run("render", "in.raw", f"view-{k}.png", *layout, "--size", size)[0] == 0
+        assert image.read(f"view-{k}.png").pixels.shape[:2] == (30, 40)
+
+
 def test_recipes_keep_it_and_options_change_parts_of_it(run: Run, here: Path) -> None:
     assert run("warp", "in.png", "a.png", *GRAB, "--rotate", "4", "--scale-to", "30", "--save-recipe", "r.json")[0] == 0
     straighten = read_recipe("r.json").straighten
@@ -100,7 +111,7 @@ def test_points_go_where_the_picture_shows_them(run: Run, here: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (("--rotate", "x"), "--rotate must be a number of degrees, found 'x'"),
+        (("--rotate", "x"), "--rotate must be a number of degrees from -360 to 360, found 'x'"),
         (("--rotate", "1000"), "--rotate must be a number of degrees from -360 to 360"),
         (("--shear", "80"), "--shear must be one number of degrees or two"),
         (("--shear", "1,x"), "--shear must be one number of degrees or two, found '1,x'"),

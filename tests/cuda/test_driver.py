@@ -13,7 +13,7 @@ import supple
 import supple.cuda
 from supple.cuda import device, programs, warp
 from supple.cuda.device import CudaDevice, CudaError, Memory
-from supple.cuda.programs import JOB, SOME, TOLD
+from supple.cuda.programs import CHECKS, JOB, SOME, record
 from supple.errors import SuppleError
 from tests.cuda.driver import Driver, on_host, sent
 
@@ -31,11 +31,17 @@ def names(played: Driver) -> list[str]:
 
 
 def test_records_have_the_layout_of_the_kernels() -> None:
-    assert (JOB.itemsize, SOME.itemsize, TOLD.itemsize) == (264, 88, 20)
-    for record in (JOB, SOME, TOLD):  # as a C++ compiler lays them out: no gaps, and eights first
-        assert record.itemsize == sum(record[k].itemsize for k in range(len(record.fields or ())))
-        for name, (kind, at, *_) in (record.fields or {}).items():
+    assert (JOB.itemsize, SOME.itemsize, CHECKS.itemsize) == (264, 88, 20)
+    for whole in (JOB, SOME, CHECKS):  # as a C++ compiler lays them out: no gaps, and eights first
+        assert whole.itemsize == sum(whole[k].itemsize for k in range(len(whole.fields or ())))
+        for name, (kind, at, *_) in (whole.fields or {}).items():
             assert at % min(kind.base.itemsize, 8) == 0, name
+
+
+def test_a_record_has_no_other_fields() -> None:
+    assert record(SOME, count=3).contents.count == 3
+    with pytest.raises(TypeError, match="no field of the record: counts, told"):
+        record(SOME, counts=3, told=0, back=True)
 
 
 def test_a_warp_is_four_kernels_on_the_stream_of_the_array(played: Driver) -> None:
@@ -85,7 +91,7 @@ def test_a_warp_of_its_own_stream_waits_for_both_sides(played: Driver) -> None:
     assert "done" in repr(warping)
 
 
-def test_what_is_told_is_given_back_once(played: Driver) -> None:
+def test_page_locked_memory_of_checks_is_reused_once(played: Driver) -> None:
     source = sent(np.zeros(STACK, np.float32))
     warping = supple.cuda.start(source, bent(STACK), **OPTIONS)
     assert warping._known() == warping._known()  # as of two threads that wait

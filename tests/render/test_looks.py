@@ -248,7 +248,7 @@ def test_the_command_does_what_python_does(tmp_path: Path, monkeypatch: pytest.M
         (["--convention", "LPS"], "--convention of points is of tables of --pull"),
         (["--plane", "1,2,3"], "--plane must be a voxel and a direction, X,Y,Z:DX,DY,DZ, found '1,2,3'"),
         (["--plane", "1,2,3:0,0,0"], "a direction that is not 0,0,0"),
-        (["--plane", "1,2:0,0,1"], "--plane must be three numbers"),
+        (["--plane", "1,2:0,0,1"], "--plane must be a voxel and a direction"),
         (["--silhouettes", "2"], "silhouettes must be a number from 0 to 1"),
         (["--silhouettes", "1", "--unshaded"], "silhouettes and shadows are of shaded surfaces"),
         (["--shadows", "2"], "shadows must be a number from 0 to 1"),

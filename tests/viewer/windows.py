@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import contextlib
 import json
+import math
 import os
 import re
 import shutil
@@ -141,7 +142,7 @@ class Hand:
 def in_pixels(view: Any, *point: float) -> tuple[int, int]:
     """The column and the row of ``view.pixels()`` at which a point of a picture is seen."""
     x, y = view.tools.view.to_canvas(*point)
-    return round(x), round(y) - TOP
+    return math.floor(x), math.floor(y) - TOP
 
 
 _opened: list[Any] = []

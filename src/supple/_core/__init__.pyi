@@ -97,7 +97,7 @@ class Composite:
 
 Box = tuple[int, int, int, int]
 Codes = tuple[int, int, int, bool]
-Told = tuple[float, float, int, int, int]
+Checks = tuple[float, float, int, int, int]  # the error, evaluations, and counts: unsolved, folded, outside
 
 class Sampling:
     def __init__(
@@ -122,13 +122,7 @@ class Plan:
         self, map: Map, height: int, width: int, z: float, tolerance: float, box: Box | None = None
     ) -> None: ...
     @property
-    def outside(self) -> int: ...
-    @property
-    def error(self) -> float: ...
-    @property
-    def evaluations(self) -> float: ...
-    @property
-    def unsolved(self) -> int: ...
+    def checks(self) -> Checks: ...
     @property
     def folds(self) -> int: ...
     @property
@@ -150,7 +144,7 @@ def warp_stack(
     samplings: list[Sampling],
     box: Box | None = None,
     copied: list[bool] | None = None,
-) -> Told: ...
+) -> Checks: ...
 def needed(
     map: Map,
     height: int,
@@ -161,7 +155,7 @@ def needed(
     size: tuple[int, int],
     codes: Codes,
     box: Box,
-) -> tuple[tuple[int, ...], list[float], Told]: ...
+) -> tuple[tuple[int, ...], list[float], Checks]: ...
 def flatten(maps: Sequence[Map], base: int) -> bytes: ...
 
 constants: dict[str, float]

@@ -162,18 +162,18 @@ void points_of(const Plan<D>& plan, Solid<T>& out) {
     });
 }
 
-// The values of a `supple.engine.sampling.Certificate`.
-typedef std::tuple<double, double, long, long, long> Certificate;
-Certificate certificate_of(const std::vector<Checks>& some) {
+// The values of `Checks` in __init__.pyi.
+typedef std::tuple<double, double, long, long, long> Values;
+Values values_of(const std::vector<Checks>& some) {
     Checks sum;
     for (const Checks& c : some) sum |= c;
     return {sum.error, sum.evaluations, sum.unsolved, sum.folds, sum.outside};
 }
 
 // Sample planes of a stack, each by one thread. Returns the accuracy of the map.
-Certificate warp_stack(const Mapping& map, int height, int width, std::vector<int> planes, double tolerance,
-                       std::vector<const Sampling*> all, std::optional<Box> wanted,
-                       std::optional<std::vector<bool>> copied) {
+Values warp_stack(const Mapping& map, int height, int width, std::vector<int> planes, double tolerance,
+                  std::vector<const Sampling*> all, std::optional<Box> wanted,
+                  std::optional<std::vector<bool>> copied) {
     const Box box = wanted.value_or(Box{0, width, 0, height});
     std::vector<Checks> checks(planes.size());
     std::atomic<bool> small = false;
@@ -204,7 +204,7 @@ Certificate warp_stack(const Mapping& map, int height, int width, std::vector<in
         });
     });
     if (small) refuse_small();
-    return certificate_of(checks);
+    return values_of(checks);
 }
 
 // The part of the frames that a box of planes reads, and how far each plane moves there.
@@ -231,7 +231,7 @@ nb::tuple needed_of(const Mapping& map, int height, int width, std::vector<int> 
     Portion all;
     for (const Portion& part : parts) all |= part;
     return nb::make_tuple(nb::make_tuple(all.box[0], all.box[1], all.box[2], all.box[3], all.frames[0], all.frames[1]),
-                          moved, certificate_of(checks));
+                          moved, values_of(checks));
 }
 
 }  // namespace
@@ -256,11 +256,8 @@ void bind_plans(nb::module_& m) {
                 unlocked([&] { map.ndim == 2 ? make(std::in_place_index<0>) : make(std::in_place_index<1>); });
             },
             "map"_a, "height"_a, "width"_a, "z"_a, "tolerance"_a, "box"_a = nb::none(), nb::keep_alive<1, 2>())
-        .def_prop_ro("error", [](const AnyPlan& p) { return p.checks().error; })
-        .def_prop_ro("evaluations", [](const AnyPlan& p) { return p.checks().evaluations; })
-        .def_prop_ro("unsolved", [](const AnyPlan& p) { return p.checks().unsolved; })
+        .def_prop_ro("checks", [](const AnyPlan& p) { return values_of({p.checks()}); })
         .def_prop_ro("folds", [](const AnyPlan& p) { return p.checks().folds; })
-        .def_prop_ro("outside", [](const AnyPlan& p) { return p.checks().outside; })
         .def_prop_ro("identity", [](const AnyPlan& p) { return p.with([](auto& plan) { return plan.identity; }); })
         .def_prop_ro("nbytes", [](const AnyPlan& p) { return p.with([](auto& plan) { return plan.nbytes(); }); })
         .def(

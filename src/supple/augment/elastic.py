@@ -24,7 +24,7 @@ from supple.deformation import Deformation
 from supple.engine.sampling import Sampling, SamplingFields
 from supple.folding.resolved import FLOW_GAP, FLOW_MARGIN, Table, beta_at
 from supple.folding.strain import weakest
-from supple.space.checks import integer, items, length, number, refuse
+from supple.space.checks import assign, integer, items, length, number, refuse, rows
 from supple.space.domain import Border, checked_border
 from supple.space.geometry import Floats, Grid
 from supple.strokes import Stroke, pack
@@ -108,14 +108,11 @@ class RandomElastic:
         if least > most:
             refuse("strokes", wanted, self.strokes)
         wanted = f"a number from 0 to {low:g}, the smallest radius"
-        checked = {
-            "max_displacement": number("max_displacement", self.max_displacement, wanted, 0.0, low),
-            "radius": (low, high),
-            "strokes": (least, most),
-            "border": checked_border(self.border),
-        }
-        for name, value in checked.items():
-            object.__setattr__(self, name, value)
+        largest, border = (
+            number("max_displacement", self.max_displacement, wanted, 0.0, low),
+            checked_border(self.border),
+        )
+        assign(self, max_displacement=largest, radius=(low, high), strokes=(least, most), border=border)
 
     def draw(
         self, shape: Sequence[int] | Grid, seed: Seed = None, *, spacing: float | Sequence[float] = 1.0
@@ -249,7 +246,7 @@ def apply(
         None
         if labels is None
         else deformation.warp(np.asarray(labels), filter="nearest", outside=sampling.outside, alpha=False),
-        None if points is None else deformation.forward(_rows("points", points, deformation.ndim)),
+        None if points is None else deformation.forward(rows("points", points, deformation.ndim)),
         None if boxes is None else moved_boxes(deformation, boxes),
         deformation,
     )
@@ -275,7 +272,7 @@ def moved_boxes(deformation: Deformation, boxes: npt.ArrayLike, *, inverse: bool
     float64 array, shape (N, 2 D)
     """
     n = deformation.ndim
-    given = _rows("boxes", boxes, 2 * n)
+    given = rows("boxes", boxes, 2 * n)
     low, high = given[:, :n], given[:, n:]
     if np.any(low > high):
         k = int(np.argmax(np.any(low > high, axis=1)))
@@ -358,22 +355,6 @@ def _reached(deformation: Deformation) -> list[tuple[Floats, Floats]]:
     spacing, table = np.array(deformation.domain.spacing), deformation.space.table
     pivots, reaches = table["pivot"][:, :n], table["reach"][:, None]
     return list(zip((pivots - reaches) / spacing, (pivots + reaches) / spacing, strict=True))
-
-
-def _rows(name: str, value: npt.ArrayLike, columns: int) -> Floats:
-    """Return rows of numbers as floats; SuppleError for other values."""
-    wanted = f"finite numbers of shape (N, {columns})"
-    try:
-        given = np.asarray(value, np.float64)
-    except (TypeError, ValueError):
-        refuse(name, wanted, value)
-    if given.size == 0:
-        given = given.reshape(0, columns)
-    if given.ndim != 2 or given.shape[1] != columns:
-        refuse(name, wanted, told=f"shape {given.shape}")
-    if not np.isfinite(given).all():
-        refuse(name, wanted, told="some that are not finite")
-    return given
 
 
 def _shape_of(array: npt.NDArray[Any]) -> tuple[int, ...]:

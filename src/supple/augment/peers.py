@@ -55,7 +55,7 @@ def bent_stack(d: Deformation, images: npt.NDArray[Any], filter: str, outside: s
         return np.asarray(d.warp(images[0], filter=filter, outside=outside, alpha=False))[None]
     sampling = Sampling(filter, outside=outside)
     made, certificate = warp_array(images, replace(d.space, count=len(images)), sampling, alpha=False)
-    warn_of(certificate, sampling.tolerance, 2)
+    warn_of(certificate, sampling.tolerance)
     return np.asarray(made)
 
 

@@ -5,9 +5,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Group, Parameter
 
-from supple.cli.options import RunOptions, SeveralOptions, WritingOptions, options_of, parse_number, read, whole
+from supple.cli.options import RunOptions, SeveralOptions, WritingOptions, options_of, parse_percent, read, whole
 from supple.cli.options_maps import Maps
-from supple.cli.options_strokes import Edits, StrokeOptions
+from supple.cli.options_strokes import Edits, Landmarks, StrokeOptions
 from supple.cli.warp import warp
 from supple.errors import SuppleError
 
@@ -17,10 +17,7 @@ if TYPE_CHECKING:
 FACES = Group("Faces", sort_key=1)
 
 
-def _percent(option: str, text: str) -> float:
-    return parse_number(option, text.strip().removesuffix("%"), "percent from -100 to 100", (-100, 100))
-
-
+_percent = partial(parse_percent, wanted="percent from -100 to 100", low=-100, high=100)
 _PERCENT = partial(read, _percent, "PERCENT", show_default=False)
 
 
@@ -40,10 +37,6 @@ class FaceOptions:
         Make the nose wider by so many percent; below 0, narrower.
     jaw
         Make the jaw wider: at 100, by half of its width; below 0, narrower.
-    landmarks
-        Landmarks of the faces: CSV with columns name, x and y, .pts, XML of dlib, JSON of MediaPipe; or a folder that
-        has a file for each picture, with its stem; or a pattern, in which * stands for that. By default, the file
-        beside the picture, or those that are found, if supple[face] is installed.
     face
         Which face, 1 for the largest (default: all of them).
     """
@@ -53,7 +46,7 @@ class FaceOptions:
     smile: Annotated[float, _PERCENT()] = 0.0
     nose: Annotated[float, _PERCENT()] = 0.0
     jaw: Annotated[float, _PERCENT()] = 0.0
-    landmarks: Annotated[str | None, Parameter(metavar="FILE|DIR")] = None
+    landmarks: Landmarks = None
     face: Annotated[int | None, whole()] = None
 
 

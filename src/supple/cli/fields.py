@@ -203,8 +203,7 @@ def parse_maps(words: Sequence[str]) -> list[Input]:
     """Parse files and their options from the command line: an option applies to the file before it."""
     from supple.files.fields import Input
 
-    made: list[Input] = []
-    rest = iter(words)
+    made, rest = list[Input](), iter(words)
     for word in rest:
         name, equals, value = word.partition("=")
         if not word.startswith("-"):
@@ -214,19 +213,12 @@ def parse_maps(words: Sequence[str]) -> list[Input]:
             raise SuppleError(f"Unknown option: {word}. (supple compose --help tells more)")
         if not made:
             raise SuppleError(f"{name} is about the file before it, and there is none: give a file first")
-        last = made[-1]
-        if name == "--inverse":
-            if last.inverse:
-                raise SuppleError(f"--inverse is given twice for {shown(last.path)}: leave one out, or both")
-            made[-1] = last._replace(inverse=True)
-            continue
-        given = value if equals else next(rest, None)
-        if given is None or (not equals and given.startswith("-")):
+        given: Any = True if name == "--inverse" else value if equals else next(rest, "-")
+        if not equals and given is not True and given.startswith("-"):
             raise SuppleError(f"{name} needs a {'name' if name == '--convention' else 'file'} after it")
-        key = name.removeprefix("--")
-        if getattr(last, key) is not None:
-            raise SuppleError(f"{name} is given twice for {shown(last.path)}: leave one out")
-        made[-1] = last._replace(convention=given) if key == "convention" else last._replace(source=given)
+        if getattr(made[-1], name[2:]):
+            raise SuppleError(f"{name} is given twice for {shown(made[-1].path)}: leave one out")
+        made[-1] = made[-1]._replace(**{name[2:]: given})
     return made
 
 

@@ -43,11 +43,12 @@ def info(
                 console.tell(found)
             else:
                 print(f"{found['name']}: {found['kind']}, {found['backend']}, {found['driver']}")
-    failures, reading = 0, volume.to_reading()
+    failures, reading = 0, volume.to_reading(strokes=False)
     for name in files:
         with about(File(name, named=len(files) > 1)):
             try:
                 with piped((name, ""), console) as (path, _):
+                    reading.check(path)
                     facts, text = describe(str(path), reading.how)
                 if name == STREAM:
                     facts, text = {**facts, "file": "-"}, text.replace(str(path), "standard input")

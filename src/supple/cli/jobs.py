@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import NoReturn
 
 from supple.cli.console import FAULT, REFUSED, STREAM, Console, deaf, outcome
+from supple.cli.options import is_pattern
 from supple.engine.memory import machine_memory
 from supple.engine.progress import counted
 from supple.errors import SuppleError, listing, shown
@@ -55,7 +56,7 @@ def pair(given: Sequence[str], target: str, *, recursive: bool = False) -> tuple
                 told = f"the folder {shown(name)} holds no pictures or DICOM slices"
                 raise SuppleError(f"{told}: give another, or their names")
             found += [(p, p.relative_to(path)) for p in inside]
-        elif glob.has_magic(name) and not os.path.exists(name):
+        elif is_pattern(name):
             several = True
             every = sorted(Path(p) for p in glob.glob(name, recursive=True))
             matching = [path for path in every if not os.path.isdir(path)]

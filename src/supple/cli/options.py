@@ -35,6 +35,8 @@ COORDINATES = {"lps": "LPS", "ras": "RAS", "index": "index"}
 
 
 Options = TypeVar("Options")
+Ends = tuple[float, float]
+Shape = tuple[int, ...]
 Texts = tuple[str, ...]
 """The values of an option that may be given several times."""
 
@@ -50,9 +52,12 @@ def options_of(group: Group | None = None) -> "Callable[[type[Options]], type[Op
 
 
 def parse_numbers(
-    name: str, text: str, wanted: str, *counts: int, ends: tuple[float, float] | None = None
+    name: str, text: str, wanted: str, counts: Shape = (), ends: Ends | None = None, typed: str | None = None
 ) -> tuple[float, ...]:
-    """Parse comma-separated numbers; their count must be one of ``counts``, and each between the ``ends``, if given."""
+    """Parse comma-separated numbers; their count must be one of ``counts``, and each between the ``ends``, if given.
+
+    ``typed`` is the whole value of the option, for the message, where ``text`` is a part of it.
+    """
     try:
         numbers = tuple(map(float, text.split(",")))
     except ValueError:
@@ -60,18 +65,31 @@ def parse_numbers(
     low, high = ends or (-math.inf, math.inf)
     beyond = ends is not None and not all(low <= x <= high for x in numbers)  # as NaN is
     if not numbers or (counts and len(numbers) not in counts) or beyond:
-        raise SuppleError(f"{name} must be {wanted}, found {text!r}")
+        raise SuppleError(f"{name} must be {wanted}, found {text if typed is None else typed!r}")
     return numbers
 
 
-def parse_number(name: str, text: str, wanted: str, ends: tuple[float, float] | None = None) -> float:
+def parse_number(name: str, text: str, wanted: str, ends: Ends | None = None, typed: str | None = None) -> float:
     """Parse a number, between two ends if they are given."""
-    return parse_numbers(name, text, wanted, 1, ends=ends)[0]
+    return parse_numbers(name, text, wanted, (1,), ends, typed)[0]
 
 
-def parse_three(name: str, text: str) -> tuple[float, ...]:
-    """Parse three numbers, one for each axis."""
-    return parse_numbers(name, text, "three numbers X,Y,Z", 3)
+def parse_percent(name: str, text: str, wanted: str, low: float, high: float, unit: float = 1) -> float:
+    """Parse a number between two ends, or a percentage, of which ``unit`` are 1."""
+    bare = text.strip().removesuffix("%")
+    unit = unit if bare != text.strip() else 1
+    return parse_number(name, bare, wanted, (low * unit, high * unit), text) / unit
+
+
+def parse_sizes(name: str, text: str, wanted: str, counts: Shape) -> Shape:
+    """Parse whole numbers from 0, as many as one of ``counts``: 512,512 or 512x512."""
+    parts = re.split(r"\s*[,x×]\s*", text.lower().strip())
+    if len(parts) not in counts or not all(part.isdecimal() and len(part) < 20 for part in parts):
+        raise SuppleError(f"{name} must be {wanted}, found {text!r}")
+    return tuple(map(int, parts))
+
+
+parse_three = partial(parse_numbers, wanted="three numbers X,Y,Z", counts=(3,))
 
 
 def parse_integer(name: str, text: str, wanted: str) -> int:
@@ -91,7 +109,7 @@ def read(how: Callable[[str, str], object], metavar: str, **more: Any) -> Parame
     return Parameter(metavar=metavar, allow_leading_hyphen=True, converter=convert, n_tokens=1, **more)
 
 
-def number(wanted: str, metavar: str, ends: tuple[float, float] | None = None, **more: Any) -> Parameter:
+def number(wanted: str, metavar: str, ends: Ends | None = None, **more: Any) -> Parameter:
     """Return an option that is a number; ``wanted`` describes it in the error for anything else."""
     return read(partial(parse_number, wanted=wanted, ends=ends), metavar, **more)
 
@@ -363,7 +381,11 @@ class TrackOptions:
             )
 
 
-Labels = Annotated[bool | Literal["nearest", "smooth"], Parameter(group=VOLUME, metavar="[nearest|smooth]")]
+_shape = partial(parse_sizes, wanted="numbers of voxels along X,Y,Z (512,512,200 or 512x512x200, say)", counts=(3,))
+_LABELS = """The volume is a label map, and labels are not mixed: each voxel takes that of the nearest one (nearest, as
+without a word), or that of the largest share of its footprint, whose edges are smooth (smooth)."""
+_kinds = Parameter(group=VOLUME, metavar="[nearest|smooth]", help=_LABELS)
+Labels = Annotated[bool | Literal["nearest", "smooth"], _kinds]
 
 
 @options_of(VOLUME)
@@ -390,14 +412,16 @@ class VolumeArguments:
     world: bool = False
     series: Annotated[str | None, Parameter(metavar="N|UID")] = None
     irregular: Literal["resample"] | None = None
-    shape: Annotated[Any, read(parse_three, "X,Y,Z")] = None
+    shape: Annotated[Any, read(_shape, "X,Y,Z")] = None
     dtype: Annotated[str | None, Parameter(metavar="TYPE")] = None
     spacing: Annotated[Any, read(parse_three, "X,Y,Z")] = None
 
-    def to_reading(self, *, labels: bool | str = False, save_field: str | None = None) -> "Reading":
-        """Return the options as a `VolumeOptions`."""
+    def to_reading(self, *, strokes: bool, labels: bool | str = False, save_field: str | None = None) -> "Reading":
+        """Return the options as a `VolumeOptions`; ``strokes`` says whether there are any."""
         from supple.files.options import VolumeOptions as Reading
 
+        if self.world and not strokes:
+            raise SuppleError("--world is about the points of strokes, and there are none: leave it out")
         layout = None
         if self.shape is not None or self.dtype is not None or self.spacing is not None:
             from supple.media.volume import RawLayout
@@ -406,9 +430,15 @@ class VolumeArguments:
                 raise SuppleError(
                     "a file without a header needs both --shape X,Y,Z and --dtype: give the other one too"
                 )
-            sizes = tuple(int(n) if n.is_integer() else n for n in self.shape)
-            layout = RawLayout(sizes, self.dtype, self.spacing or (1.0, 1.0, 1.0))  # type: ignore[arg-type]
+            layout = RawLayout(self.shape, self.dtype, self.spacing or (1.0, 1.0, 1.0))
         return Reading(self.world, labels == "nearest" or labels, save_field, layout, self.series, self.irregular)
+
+
+def is_pattern(path: str) -> bool:
+    """Return whether a name stands for several files, each with an output of its own."""
+    from supple.media.numbering import has_number
+
+    return glob.has_magic(path) and "://" not in path and not has_number(path) and not os.path.exists(path)
 
 
 def convention_of(path: str, reading: "Reading") -> str | None:
@@ -422,7 +452,7 @@ def convention_of(path: str, reading: "Reading") -> str | None:
 
     if path == STREAM:
         return "LPS"
-    if glob.has_magic(path) and not os.path.exists(path):
+    if is_pattern(path):
         path = min(glob.glob(path, recursive=True), default=path)
     elif holds_volumes(path):
         path = os.path.join(path, min(name for name in os.listdir(path) if suffix_of(name) in ONE_FILE))
@@ -524,7 +554,7 @@ class SamplingOptions:
     filter: Annotated[str, Parameter(metavar="auto|cubic|linear|nearest")] = "auto"
     outside: Literal["edge", "constant", "reflect"] | None = None
     fill: Annotated[str | None, text("V|V,V,V")] = None
-    tolerance: Annotated[float, number("a number of pixels above 0", "PX")] = 0.01
+    tolerance: Annotated[float, number("a number of pixels above 0", "PX", (1e-9, 1e9))] = 0.01
 
     def to_sampling(self, elsewhere: bool, linear_light: bool = False) -> "tuple[Sampling, str | None]":
         """Return the `Sampling`, and the boundary mode that was asked for, or None.

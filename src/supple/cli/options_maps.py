@@ -3,15 +3,14 @@
 import os
 import re
 import threading
-import warnings
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Group, Parameter
 
 from supple.cli.console import say_convention
-from supple.cli.options import COORDINATES, Texts, options_of, parse_integer, parse_numbers, text
-from supple.errors import OutsideWarning, SuppleError, shown
+from supple.cli.options import COORDINATES, Texts, options_of, parse_numbers, parse_sizes, text
+from supple.errors import OutsideWarning, SuppleError, shown, warn
 
 if TYPE_CHECKING:
     from supple.cli.console import Console
@@ -111,10 +110,10 @@ class OutputOptions:
         box = steps = None
         if self.crop is not None:
             wanted = "X,Y,W,H for a picture, or X,Y,Z,W,H,D for a volume"
-            box = [parse_integer("--crop", part, wanted) for part in self.crop.split(",")]
+            box = parse_sizes("--crop", self.crop, wanted, (4, 6))
         if self.resample is not None:
-            wanted = "a spacing S, or one for each axis, SX,SY or SX,SY,SZ"
-            steps = parse_numbers("--resample", self.resample, wanted)
+            wanted = "a spacing S above 0, or one for each axis, SX,SY or SX,SY,SZ"
+            steps = parse_numbers("--resample", self.resample, wanted, ends=(5e-324, 1e308))
         spacing = steps if steps is None or len(steps) > 1 else steps[0]
         return GridOptions(self.onto, box, spacing, strokes=self.fixed is not None)
 
@@ -168,7 +167,7 @@ class _Entry:
     def _affine(self) -> "Affine":
         from supple.space.affine import Affine
 
-        numbers = parse_numbers("--affine", self.text, _AFFINE, 6, 12)
+        numbers = parse_numbers("--affine", self.text, _AFFINE, (6, 12))
         width = 3 if len(numbers) == 6 else 4
         try:
             return Affine([numbers[k : k + width] for k in range(0, len(numbers), width)])
@@ -318,11 +317,10 @@ class Maps:
                 within[at] = shown(entry.text), held.grid
         for told, grid in within.values():
             if grid.shape not in (source.shape, output.shape):
-                warnings.warn(
+                warn(
                     f"{told} is a map of {_size(grid)} pixels, and {name} has {_size(source)}: beyond its edges, it "
                     "goes on as there",
                     OutsideWarning,
-                    stacklevel=2,
                 )
 
     def facts(self, source: "Grid | None") -> list[dict[str, Any]]:

@@ -19,6 +19,8 @@ from supple.cli.options import (
     parse_integer,
     parse_number,
     parse_numbers,
+    parse_percent,
+    parse_sizes,
     read,
     text,
     words,
@@ -47,7 +49,9 @@ _ONE_OF = "give --grab, --twist, --scale, --pinch, --pull or --push"
 # Options of each stroke, and of all strokes together.
 _OF_EACH = ("radius", "poisson", "scales", "reach", "time_radius", "flat", "strength", "matte", "mirror")
 _OF_ALL = ("border", "border_profile", "freeze", "freeze_width", "on_fold", "amount")
-_LENGTH = "a number of pixels or millimetres above 0, or a percentage"
+_WIDTH = "a number of pixels or millimetres above 0"
+_LENGTH = f"{_WIDTH}, or a percentage"
+_TURN = "a number of degrees from -360 to 360"
 _TWIST = "X,Y[,T|Z]:ANGLE[:AXIS]"
 _SCALE = "X,Y[,T|Z]:FACTOR"
 _PINCH = "X,Y[,T|Z]:FACTOR[:AXIS]"
@@ -84,9 +88,7 @@ def _part(option: str, text: str) -> float:
     """Parse the strength of strokes, a number or a percentage."""
     from supple.strokes import LEAST, MOST
 
-    wanted = "a part of the strokes, from -100% to 200%, or from -1 to 2"
-    unit = 100 if text.strip().endswith("%") else 1
-    return parse_number(option, text.strip().removesuffix("%"), wanted, (LEAST * unit, MOST * unit)) / unit
+    return parse_percent(option, text, "a part of the strokes, from -100% to 200%, or from -1 to 2", LEAST, MOST, 100)
 
 
 @dataclass(frozen=True)
@@ -97,6 +99,12 @@ class Edits:
     maps: Maps  # the fields and affine maps among them
     own: tuple[int, ...] = ()  # the places in the recipe of the command line's strokes, without freezes
     relative: bool = False  # whether strokes are others in each picture: at landmarks, or of lengths in percent
+
+
+_LANDMARKS = """Landmarks of the faces of a picture: CSV with columns name, x and y, .pts, XML of dlib, JSON of
+MediaPipe; or a folder that has a file for each picture, with its stem; or a pattern, in which * stands for that. By
+default, the file beside the picture, or those that are found, if supple[face] is installed."""
+Landmarks = Annotated[str | None, Parameter(metavar="FILE|DIR", help=_LANDMARKS)]
 
 
 @options_of(STROKES)
@@ -175,10 +183,6 @@ class StrokeOptions:
         of the picture as at 100%. Beyond 100%, as much as is possible without a fold, and it is said if that is less.
     strength
         The same for single strokes: give it once for all, or once for each.
-    landmarks
-        Landmarks of the faces of a picture: CSV with columns name, x and y, .pts, XML of dlib, JSON of MediaPipe; or a
-        folder that has a file for each picture, with its stem; or a pattern, in which * stands for that. By default,
-        the file beside the picture, or those that are found, if supple[face] is installed.
     percent_of
         Two landmarks whose distance is 100%: left_eye:right_eye, say (default: the shortest side).
     mirror
@@ -214,19 +218,19 @@ class StrokeOptions:
     border: Annotated[str | None, text("auto|none|N|N,N")] = None
     border_profile: Annotated[Literal["quartic", "sine"] | None, words("quartic|sine")] = None
     freeze: Annotated[Texts, Parameter(metavar="FILE[:LABEL]|none")] = ()
-    freeze_width: Annotated[float | None, number("a number of pixels or millimetres above 0", "N")] = None
+    freeze_width: Annotated[float | None, number(_WIDTH, "N", (5e-324, 1e308))] = None
     matte: Annotated[Texts, Parameter(metavar="FILE|none")] = ()
     on_fold: Annotated[Literal["damp", "flow", "error"] | None, words("flow|damp|error")] = None
     amount: Annotated[float | None, read(_part, "PART")] = None
     strength: Annotated[Texts, text("PART")] = ()
-    landmarks: Annotated[str | None, Parameter(metavar="FILE|DIR")] = None
+    landmarks: Landmarks = None
     percent_of: Annotated[str | None, Parameter(metavar="NAME:NAME")] = None
     mirror: Annotated[str | None, text("X|X,Y:X,Y")] = None
     fit: Annotated[
         tuple[Literal["pixels", "stretch", "inside", "crop", "pad", "keep"], ...],
         words("pixels|stretch|inside|crop|pad|keep"),
     ] = ()
-    rotate: Annotated[float | None, number("a number of degrees", "DEG", group=STRAIGHTEN)] = None
+    rotate: Annotated[float | None, number(_TURN, "DEG", (-360, 360), group=STRAIGHTEN)] = None
     shear: Annotated[str | None, text("DEG[,DEG]", group=STRAIGHTEN)] = None
     keystone: Annotated[str | None, text(_KEYSTONE, group=STRAIGHTEN)] = None
     scale_to: Annotated[str | None, text("W[,H]", group=STRAIGHTEN)] = None
@@ -273,14 +277,14 @@ class StrokeOptions:
             )
         given: dict[str, Any] = {"rotate": self.rotate, "fit": framed[0] if framed else None}
         if self.shear is not None:
-            wanted = "one number of degrees or two"
-            given["shear"] = parse_numbers("--shear", self.shear, wanted)
+            given["shear"] = parse_numbers("--shear", self.shear, "one number of degrees or two", (1, 2))
         if self.scale_to is not None:
-            wanted = "a width, or a width and a height, in whole pixels (1920 or 1920,1080, say)"
-            given["scale_to"] = [parse_integer("--scale-to", part, wanted) for part in self.scale_to.split(",")]
+            wanted = "a width, or a width and a height, in whole pixels (1920, 1920,1080 or 1920x1080, say)"
+            given["scale_to"] = parse_sizes("--scale-to", self.scale_to, wanted, (1, 2))
         if self.keystone is not None:
             wanted = f"{_KEYSTONE}, the corners top left, top right, bottom right, bottom left"
-            given["keystone"] = [parse_numbers("--keystone", x, wanted, 2) for x in self.keystone.split(":")]
+            corners = self.keystone.split(":")
+            given["keystone"] = [parse_numbers("--keystone", x, wanted, (2,), typed=self.keystone) for x in corners]
             if len(given["keystone"]) != 4:
                 raise SuppleError(f"--keystone must be {wanted}, found {self.keystone!r}")
         given = {name: value for name, value in given.items() if value is not None}
@@ -450,9 +454,10 @@ class StrokeOptions:
             return None if path == "none" else read_matte(path, width=self.freeze_width)
 
         def radius(option: str, text: str) -> float:
-            if text.strip().startswith("-"):  # checked here, as the message for a percentage would be in pixels
+            found = places.length(option, text, _LENGTH)
+            if found <= 0:  # checked here, as the message for a percentage would be in pixels
                 raise SuppleError(f"{option} must be {_LENGTH}, found {text!r}")
-            return places.length(option, text, _LENGTH)
+            return found
 
         count = len(found)
         reaches: list[float | None] = _spread("--reach", self.reach, count, _reach, REACH)

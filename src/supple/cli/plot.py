@@ -67,7 +67,7 @@ def plot(
     from supple.files.options import GridOptions
     from supple.files.plots import plot_file
 
-    typed, reading = video.frames(source), volume.to_reading()
+    typed, reading = video.frames(source), volume.to_reading(strokes=strokes.bends)
     edits = strokes.read(maps, reading, console.arguments, source, reference=reference, frames=typed)
     job = Job(
         source, "", edits.recipe, clip=video.to_clip(), force=options.force, fit=strokes.to_fit(), volume=reading,

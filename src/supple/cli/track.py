@@ -85,5 +85,5 @@ def _point(text: str, frames: Frames) -> tuple[float, float, int]:
     parts = text.split(",")
     if len(parts) != 3:
         raise SuppleError(f"--at must be {wanted}, found {text!r}")
-    x, y = (parse_number("--at", part, wanted) for part in parts[:2])
+    x, y = (parse_number("--at", part, wanted, typed=text) for part in parts[:2])
     return x, y, frames.read("--at", parts[2])

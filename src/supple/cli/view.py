@@ -46,9 +46,6 @@ def view(
         Port for --serve (default: any free port).
     frame
         Frame of a video to show first, counted from 0, or its timecode.
-    labels
-        The volume is a label map, and labels are not mixed: exports take the label of the nearest voxel (nearest, as
-        without a word), or that of the largest share of the footprint (smooth).
     points
         Landmarks to show: CSV, or 3D Slicer's .fcsv and .mrk.json.
     fixed
@@ -68,13 +65,12 @@ def view(
     from supple.viewer.window.options import ViewOptions
 
     console = RunOptions().start()
-    typed, reading = time.frames(source), volume.to_reading(labels=labels)
+    typed, reading = time.frames(source), volume.to_reading(strokes=strokes.bends, labels=labels)
+    reading.check(source)
     edits = strokes.read(
         maps, reading, console.arguments, source, reference=fixed, frames=typed, empty=True, window=True, points=True
     )
     recipe = edits.recipe if strokes.any else None
-    if volume.world and recipe is None:
-        raise SuppleError("--world is about the points of strokes, and there are none: leave it out")
     onto = None if fixed is None else GridOptions(fixed, strokes=True)
     placed = edits.maps.placed(console, Job(source, "", Recipe(), volume=reading, grid=onto)).maps
     scale = time.time_scale or (recipe and recipe.time_scale) or 1.0

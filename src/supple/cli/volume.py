@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -19,6 +20,7 @@ from supple.cli.options import (
     options_of,
     parse_number,
     parse_numbers,
+    parse_sizes,
     parse_three,
     read,
     whole,
@@ -40,11 +42,8 @@ if TYPE_CHECKING:
 CAMERA = Group("Camera", sort_key=2)
 LOOK = Group("Look", sort_key=3)
 _DEGREES = "a number of degrees"
+_range = partial(parse_numbers, wanted="two values LO,HI", counts=(2,))
 _NAMING = naming(rate="--rate", table="--table", legend="--legend")
-
-
-def _range(option: str, text: str) -> tuple[float, ...]:
-    return parse_numbers(option, text, "two values LO,HI", 2)
 
 
 def _box(option: str, text: str) -> Clip:
@@ -53,23 +52,19 @@ def _box(option: str, text: str) -> Clip:
     ranges = [part.split(":") for part in text.split(",")]
     if len(ranges) != 3 or any(len(ends) != 2 for ends in ranges):
         raise SuppleError(f"{option} must be {wanted}, found {text!r}")
-    ends = [[parse_number(option, end, wanted) if end.strip() else None for end in pair] for pair in ranges]
+    ends = [[parse_number(option, x, wanted, typed=text) if x.strip() else None for x in pair] for pair in ranges]
     return [(low, high) for low, high in ends]
 
 
 def _plane(option: str, text: str) -> Plane:
-    voxel, colon, way = text.partition(":")
-    if not colon:
-        raise SuppleError(f"{option} must be a voxel and a direction, X,Y,Z:DX,DY,DZ, found {text!r}")
-    return parse_three(option, voxel), parse_three(option, way)
+    wanted, (voxel, _, way) = "a voxel and a direction, X,Y,Z:DX,DY,DZ", text.partition(":")
+    at, direction = (parse_numbers(option, part, wanted, (3,), typed=text) for part in (voxel, way))
+    return at, direction
 
 
-def _size(option: str, text: str) -> tuple[int, int]:
+def _size(option: str, text: str) -> tuple[int, ...]:
     """Parse width and height; return rows and columns."""
-    width, _, height = text.lower().replace("×", "x").partition("x")
-    if not (width.isdecimal() and height.isdecimal() and len(text) < 20):
-        raise SuppleError(f"{option} must be a width and a height in pixels, such as 512x512, found {text!r}")
-    return int(height), int(width)
+    return parse_sizes(option, text, "a width and a height in pixels, such as 512x512 or 512,512", (2,))[::-1]
 
 
 def _colour(option: str, text: str, verb: str = "must be") -> tuple[float, float, float]:
@@ -106,9 +101,9 @@ class CameraOptions:
     """
 
     azimuth: Annotated[float, number(_DEGREES, "DEG")] = 0
-    elevation: Annotated[float, number(_DEGREES, "DEG")] = 0
+    elevation: Annotated[float, number(f"{_DEGREES} from -90 to 90", "DEG", (-90, 90))] = 0
     distance: Annotated[float | None, number("a number of millimetres", "MM")] = None
-    field_of_view: Annotated[float, number(_DEGREES, "DEG")] = 30
+    field_of_view: Annotated[float, number(f"{_DEGREES} from 1 to 150", "DEG", (1, 150))] = 30
     roll: Annotated[float, number(_DEGREES, "DEG")] = 0
     target: Annotated[Any, read(parse_three, "X,Y,Z")] = None
     up: Annotated[Any, read(parse_three, "X,Y,Z", show_default="0,0,1")] = (0.0, 0.0, 1.0)
@@ -191,8 +186,8 @@ class LookOptions:
     table: bool = False
     largest: bool = False
     projection: Literal["none", "maximum", "minimum", "average"] = "none"
-    silhouettes: Annotated[float, number("a number from 0 to 1", "S")] = 0
-    shadows: Annotated[float, number("a number from 0 to 1", "S")] = 0
+    silhouettes: Annotated[float, number("a number from 0 to 1", "S", (0, 1))] = 0
+    shadows: Annotated[float, number("a number from 0 to 1", "S", (0, 1))] = 0
     size: Annotated[Any, read(_size, "WxH", show_default="512x512")] = (512, 512)
     step: Annotated[float | None, number("a number of millimetres", "MM")] = None
     mode: Annotated[str, Parameter(metavar="buffered|exact|hybrid")] = "buffered"
@@ -259,15 +254,14 @@ def render(
     from supple.render.camera import Camera
 
     warn_of_software(console, look.device)
-    reading = volume.to_reading()
+    reading = volume.to_reading(strokes=strokes.bends)
+    reading.check(source)
     medium = Medium(source, "volume", reading.how)
     edits = strokes.read(
         maps, reading, console.arguments, source, reference=reference, empty=True, points=bool(look.mesh)
     )
     with spelling(_NAMING):
         render = look.to_render(Camera(**vars(camera)), maps.coordinates)
-    if reading.world and not strokes.any:
-        raise SuppleError("--world is about the points of strokes, and there are none: leave it out")
     grid = None if reference is None else GridOptions(reference)
     placed = edits.maps.on(console, medium.outline.grid, medium.name, grid) if edits.maps else ()
     job = Job(
@@ -336,11 +330,13 @@ def points(
     """
     console = options.start(source)
     from supple.cli.jobs import piped
+    from supple.files.clips import refuse_encoding
     from supple.files.landmarks import move_points
 
     if options.json and target == STREAM:
         raise SuppleError("--json writes to standard output, and so does -: leave one out")
-    reading = volume.to_reading()
+    refuse_encoding(video.to_clip(), target, "none")
+    reading = volume.to_reading(strokes=strokes.bends)
     edits = strokes.read(
         maps, reading, console.arguments, on, reference=reference, frames=video.frames(on), points=True, back=True
     )

@@ -35,6 +35,7 @@ from supple.cli.options import (
     VolumeArguments,
     WorkerOptions,
     WritingOptions,
+    is_pattern,
     text,
     whole,
 )
@@ -113,9 +114,6 @@ def warp(
         Write this frame of a video alone, bent, as a picture.
     hold
         Keep every bit of the first and the last N frames of a video: strokes fade towards them.
-    labels
-        The volume is a label map, and labels are not mixed: each voxel takes that of the nearest one (nearest, as
-        without a word), or that of the largest share of its footprint, whose edges are smooth (smooth).
     save_field
         Also write the displacement field of the inverse map, for SimpleITK, ANTs and 3D Slicer: NIfTI, NRRD,
         MHA or .h5; or beside a Zarr store, of both directions of the map, as OME-Zarr: .zarr.
@@ -134,14 +132,13 @@ def warp(
     if len(paths) < 2:
         raise SuppleError("give a file to read and a name to write to: supple warp IN OUT --grab …")
     grid, typed = output.to_grid(), video.frames(paths[0])
-    reading = volume.to_reading(labels=labels, save_field=save_field)
+    reading = volume.to_reading(strokes=strokes.bends, labels=labels, save_field=save_field)
     edits_of = partial(
         strokes.read, maps, reading, console.arguments,
         reference=output.onto, frames=typed, empty=grid is not None,
     )  # fmt: skip
-    several_files = not is_store(paths[0]) and (os.path.isdir(paths[0]) or glob.has_magic(paths[0]))
-    alone = len(paths) == 2 and paths[0] != STREAM and not several_files
-
+    folder = os.path.isdir(paths[0]) and not is_store(paths[0])
+    alone = len(paths) == 2 and paths[0] != STREAM and not folder and not is_pattern(paths[0])
     edits = edits_of(paths[0], target=paths[-1] if alone else None)
     for option, value in {"--track": tracks.track, "--save-recipe": save_recipe}.items():
         if value is not None and edits.relative and not alone:
@@ -181,7 +178,7 @@ def warp(
 
     paths = _as_clip(paths, recipe)
     left: list[Path] = []
-    single = len(paths) == 2 and not _stands_for_several(paths[0]) and not holds_volumes(paths[0])
+    single = len(paths) == 2 and not is_pattern(paths[0]) and not holds_volumes(paths[0])
     stored = next(filter(is_store, paths), "")
     if stored and STREAM in paths:
         raise SuppleError(f"{shown(stored)} is a Zarr store, and standard output or input cannot be used: name a file")
@@ -318,20 +315,12 @@ def _as_clip(paths: tuple[str, ...], recipe: "Recipe") -> tuple[str, ...]:
         if (timed or many) and (pattern := of_star(source)) is not None:
             number = re.sub("d.*", "d", os.path.basename(pattern)[name.index("*") :])
             return pattern, target.replace("*", number)
-    if timed and (len(paths) > 2 or _stands_for_several(source)):
+    if timed and (len(paths) > 2 or is_pattern(source)):
         raise SuppleError(
             f"strokes with a time or with keys are for clips, and {shown(source)} stands for several pictures: give "
             "the pattern of a numbered sequence, such as f.%04d.exr, or a folder"
         )
     return paths
-
-
-def _stands_for_several(source: str) -> bool:
-    """Return whether a source is a pattern of several files, whose outputs go into a folder."""
-    from supple.media.numbering import has_number
-
-    pattern = glob.has_magic(source) and "://" not in source and not has_number(source)
-    return pattern and not os.path.exists(source)
 
 
 def _check_apart(save_recipe: str | None, paths: Iterable[str | Path | None]) -> None:
@@ -393,8 +382,6 @@ def plan(
     ----------
     source
         A Zarr array or an OME-Zarr image, a volume, or a picture.
-    labels
-        The input is a label map, as of warp.
     """
     from supple.engine.progress import counted
     from supple.files.jobs import Job
@@ -402,7 +389,7 @@ def plan(
 
     console = options.start(source)
     grid = output.to_grid()
-    reading = volume.to_reading(labels=labels)
+    reading = volume.to_reading(strokes=strokes.bends, labels=labels)
     edits = strokes.read(
         maps, reading, console.arguments, source, target=PLANNED, reference=output.onto, empty=grid is not None
     )

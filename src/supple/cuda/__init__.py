@@ -7,7 +7,7 @@ from typing import Any, Unpack
 
 from supple.cuda.arrays import DeviceArray, as_stream, checked_out, made_like, stream_of, taken
 from supple.cuda.device import Event, Stream, keep, release_passed
-from supple.cuda.warp import Told
+from supple.cuda.warp import Checks
 from supple.cuda.warp import warp as warp_planes
 from supple.engine.devices import note
 from supple.engine.sampling import DEFAULT, Certificate, Sampling, SamplingFields, warn_of
@@ -28,9 +28,11 @@ class Warping:
         The stream of the warp; ``stream.handle`` is CUDA's.
     """
 
-    def __init__(self, work: Work, source: DeviceArray, result: Any, stream: Stream, told: Told, event: Event) -> None:
+    def __init__(
+        self, work: Work, source: DeviceArray, result: Any, stream: Stream, checks: Checks, event: Event
+    ) -> None:
         self.array, self.stream = result, stream
-        self._work, self._source, self._told, self._event = work, source, told, event
+        self._work, self._source, self._checks, self._event = work, source, checks, event
         self._certificate: Certificate | None = None
 
     def done(self) -> bool:
@@ -47,7 +49,7 @@ class Warping:
             If the map may be less accurate than the tolerance.
         """
         if self._certificate is None:
-            warn_of(self._known(), self._work.sampling.tolerance, 3)
+            warn_of(self._known(), self._work.sampling.tolerance)
         return self.array
 
     def _known(self) -> Certificate:
@@ -55,7 +57,7 @@ class Warping:
         with self._source.gpu.current():
             self._event.synchronize()
             release_passed()
-        self._certificate = self._told.certificate(self._work.space)
+        self._certificate = self._checks.certificate(self._work.space)
         return self._certificate
 
     def join(self, stream: Any = None) -> None:
@@ -159,14 +161,14 @@ def _started(
         for array in (source, out):
             if array.stream != where:
                 where.wait(array.stream.record())
-        told, lattices = Told(where), []
+        checks, lattices = Checks(where), []
         for k, (part, count) in enumerate(parts):
             given, made = (array.samples(k, coloured) for array in (source, out))
-            lattices.append(warp_planes(source.gpu, part, source.dtype, told, given, made, (0, count), slab=slab))
-        told.send()
-        event = keep(where, source, out, told, lattices)
+            lattices.append(warp_planes(source.gpu, part, source.dtype, checks, given, made, (0, count), slab=slab))
+        checks.send()
+        event = keep(where, source, out, checks, lattices)
     note(source.gpu.name)
-    return Warping(work, source, out.given, where, told, event)
+    return Warping(work, source, out.given, where, checks, event)
 
 
 def sample(

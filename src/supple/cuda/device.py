@@ -218,22 +218,19 @@ def open_device(number: int = 0) -> CudaDevice:
 
 
 def _ready(number: int) -> CudaDevice:
+    instead = argument("device", "cpu")
     driver()
     try:
         call("cuInit", 0)
         known, count = int(call("cuDriverGetVersion")), int(call("cuDeviceGetCount"))
     except CudaError as error:
         if "NO_DEVICE" not in str(error):
-            raise SuppleError(
-                f"NVIDIA's driver does not work ({_short(error)}); {argument('device', 'cpu')} needs none"
-            ) from None
+            raise SuppleError(f"NVIDIA's driver does not work ({_short(error)}); {instead} needs none") from None
         count = 0
     except Exception:  # without CUDA's library, the bindings raise their own errors
-        raise SuppleError(
-            f"CUDA needs NVIDIA's driver, which is not installed; {argument('device', 'cpu')} needs none"
-        ) from None
+        raise SuppleError(f"CUDA needs NVIDIA's driver, which is not installed; {instead} needs none") from None
     if not count:
-        raise SuppleError(f"no NVIDIA GPU was found: the driver sees none; {argument('device', 'cpu')} needs none")
+        raise SuppleError(f"no NVIDIA GPU was found: the driver sees none; {instead} needs none")
     needed = toolkit()
     if known < 1000 * needed:
         older = ', or pip install "supple[cuda12]"' if known >= 12000 else ""
@@ -252,10 +249,8 @@ def _ready(number: int) -> CudaDevice:
             for part in ("MAJOR", "MINOR")
         )
         if 10 * major + minor < OLDEST:
-            raise SuppleError(
-                f"{name} is too old: its compute capability is {major}.{minor}, and {OLDEST / 10:.1f} is needed; "
-                f"{argument('device', 'cpu')} needs no GPU"
-            )
+            found = f"its compute capability is {major}.{minor}, and {OLDEST / 10:.1f} is needed"
+            raise SuppleError(f"{name} is too old: {found}; {instead} needs no GPU")
         context = call("cuDevicePrimaryCtxRetain", device)
         made = CudaDevice(number, name, 10 * major + minor, context)
         # Otherwise, every synchronization returns free memory to the system, and allocating again takes milliseconds.
@@ -265,9 +260,7 @@ def _ready(number: int) -> CudaDevice:
             call("cuMemPoolSetAttribute", pool, kept, driver().cuuint64_t(POOL))
         made.free  # noqa: B018 - it fails here, and not during a warp
     except RuntimeError as error:  # of the bindings, where the driver lacks a function
-        raise SuppleError(
-            f"GPU {number} cannot be opened ({_short(error)}); {argument('device', 'cpu')} needs no GPU"
-        ) from None
+        raise SuppleError(f"GPU {number} cannot be opened ({_short(error)}); {instead} needs no GPU") from None
     return made
 
 

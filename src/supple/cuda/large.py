@@ -14,7 +14,7 @@ import numpy as np
 
 from supple.cuda.arrays import dense
 from supple.cuda.device import FAILURES, CudaDevice, Memory, Stream, open_device
-from supple.cuda.warp import RUN, Told, warp
+from supple.cuda.warp import RUN, Checks, warp
 from supple.engine.core import needed
 from supple.engine.devices import note
 from supple.engine.sampling import Certificate
@@ -131,15 +131,15 @@ def _slab(
 ) -> Iterator[Certificate]:
     """Send the frames of a slab, and launch its kernels; in the second step, copy the planes to the target."""
     given, made, dtype = source[slice(*frames)], target[slice(*planes)], source.dtype.newbyteorder("=")
-    sent, back, told = Memory(given.nbytes, stream), Memory(made.nbytes, stream), Told(stream)
+    sent, back, checks = Memory(given.nbytes, stream), Memory(made.nbytes, stream), Checks(stream)
     for k, frame in enumerate(given):  # one by one: converted copies stay small
         straight = np.ascontiguousarray(frame, dtype)
         sent.upload(straight, k * frame.nbytes)
         if straight is not frame:
             stream.synchronize()  # the copy is being read
     to = (back.pointer, *dense(made.shape))
-    _held = warp(gpu, work, dtype, told, (sent.pointer, *dense(given.shape)), to, planes, held_from=frames[0])
-    told.send()
+    _held = warp(gpu, work, dtype, checks, (sent.pointer, *dense(given.shape)), to, planes, held_from=frames[0])
+    checks.send()
     yield Certificate(0.0, 0.0)
     for k, plane in enumerate(made):
         straight = plane.flags.c_contiguous and plane.dtype.isnative
@@ -148,4 +148,4 @@ def _slab(
         stream.synchronize()
         if not straight:
             plane[...] = copy
-    yield told.certificate(work.space)
+    yield checks.certificate(work.space)

@@ -9,7 +9,7 @@ import numpy as np
 from supple.cuda.arrays import DeviceArray, contiguous, made_like, plain, taken
 from supple.cuda.device import keep
 from supple.cuda.programs import SOME, Program, launch, prepare, record
-from supple.cuda.warp import Told, lattice_of, paint
+from supple.cuda.warp import Checks, lattice_of, paint
 from supple.engine.core import CONVERGED
 from supple.engine.sampling import Certificate
 from supple.engine.work import Space
@@ -32,19 +32,19 @@ def _moved(space: Space, given: DeviceArray, results: dict[str, DeviceArray], *,
         return Certificate(0.0, 0.0)
     gpu, stream = given.gpu, given.stream
     with gpu.current():
-        lattice, told = lattice_of(gpu, (space,)), Told(stream)
+        lattice, checks = lattice_of(gpu, (space,)), Checks(stream)
         kernel = prepare(gpu, Program("points", space.ndim, space.composite is not None))
         pointers = {name: array.pointer for name, array in results.items()}
-        job = record(SOME, map=lattice.memory.pointer, points=given.pointer, told=told.there.pointer, count=count,
+        job = record(SOME, map=lattice.memory.pointer, points=given.pointer, checks=checks.there.pointer, count=count,
                      tolerance=CONVERGED, wide=given.dtype == np.float64, back=back, **pointers)  # fmt: skip
         launch(kernel, job, stream, count)
         # An unknown library may free an array before it is read, so wait.
         if space.composite is None and given.kind != "other":
-            keep(stream, told, lattice, given)
+            keep(stream, checks, lattice, given)
             return Certificate(0.0, 0.0)
-        told.send()
+        checks.send()
         stream.synchronize()
-    return Certificate(0.0, 0.0) if space.composite is None else told.certificate(space)
+    return Certificate(0.0, 0.0) if space.composite is None else checks.certificate(space)
 
 
 def forward(space: Space, points: Any, *, matrices: bool = False) -> tuple[Any, Certificate]:
@@ -76,9 +76,9 @@ def inverse_map(space: Space, tolerance: float, like: Any, *, offsets: bool = Fa
     given = taken(plain(like), "like")
     out = made_like(given, (*space.out, space.ndim), np.float32)
     with given.gpu.current():
-        told, to = Told(given.stream), out.samples(0, coloured=True)
-        _held = paint(given.gpu, (space,), out.dtype, told, (0,) * 5, to, (0, space.planes[0]), tolerance=tolerance,
+        checks, to = Checks(given.stream), out.samples(0, coloured=True)
+        _held = paint(given.gpu, (space,), out.dtype, checks, (0,) * 5, to, (0, space.planes[0]), tolerance=tolerance,
               average=offsets)  # fmt: skip
-        told.send()
+        checks.send()
         given.stream.synchronize()
-    return out.given, told.certificate(space)
+    return out.given, checks.certificate(space)

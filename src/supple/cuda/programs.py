@@ -28,7 +28,7 @@ THREADS = 128  # of a block
 _SAMPLES = np.dtype([("first", "u8"), ("plane", "i8"), ("row", "i8"), ("column", "i8"), ("channel", "i8")])
 
 JOB = np.dtype(
-    [(name, "u8") for name in ("maps", "xs", "ys", "nodes", "leaves", "states", "rough", "told")]
+    [(name, "u8") for name in ("maps", "xs", "ys", "nodes", "leaves", "states", "rough", "checks")]
     + [("source", _SAMPLES), ("out", _SAMPLES), ("fill", "u8"), ("top", "u8")]
     + [(name, "f8") for name in ("tolerance", "white", "high")]
     + [
@@ -41,18 +41,20 @@ JOB = np.dtype(
 )  # fmt: skip
 
 SOME = np.dtype(
-    [(name, "u8") for name in ("map", "points", "to", "matrices", "residual", "steps", "done", "told")]
+    [(name, "u8") for name in ("map", "points", "to", "matrices", "residual", "steps", "done", "checks")]
     + [("count", "i8"), ("tolerance", "f8"), ("wide", "i4"), ("back", "i4")]
 )
 
-TOLD = np.dtype([("worst", "f4"), ("rough", "i4"), ("unsolved", "i4"), ("folded", "i4"), ("outside", "i4")])
+CHECKS = np.dtype([("worst", "f4"), ("rough", "i4"), ("unsolved", "i4"), ("folded", "i4"), ("outside", "i4")])
 
 
 _structure = cache(np.ctypeslib.as_ctypes_type)
 
 
 def record(kind: np.dtype[Any], **values: Any) -> Any:
-    """Return a pointer to a record, with its fields as ``contents``; other fields are 0."""
+    """Return a pointer to a record, with its fields as ``contents``; other fields are 0; TypeError for unknown ones."""
+    if unknown := values.keys() - set(kind.names or ()):  # which ctypes would take for attributes of Python's
+        raise TypeError(f"no field of the record: {', '.join(sorted(unknown))}")
     return ctypes.pointer(_structure(kind)(**values))
 
 

@@ -19,7 +19,7 @@ import numpy.typing as npt
 from supple import _core
 from supple._core.rows import STROKE_DTYPE
 from supple.cuda.device import CudaDevice, Memory, Pinned, Stream
-from supple.cuda.programs import JOB, THREADS, TOLD, Program, launch, prepare, record
+from supple.cuda.programs import CHECKS, JOB, THREADS, Program, launch, prepare, record
 from supple.engine.sampling import BETWEEN, FILTERS, OUTSIDE, Certificate
 from supple.engine.work import Space, Work, refuse_mattes
 from supple.space.checks import refuse
@@ -146,11 +146,11 @@ def _uploaded(gpu: CudaDevice, spaces: tuple[Space, ...], tolerance: float) -> L
     return Lattice(memory, places, (xs.size, ys.size), kinds.pop() if len(kinds) == 1 else None)
 
 
-class Told:
+class Checks:
     """The error and the counts of a map, which kernels write on the GPU, and their copy on the host."""
 
     def __init__(self, stream: Stream) -> None:
-        self.there = Memory(TOLD.itemsize, stream)
+        self.there = Memory(CHECKS.itemsize, stream)
         self.there.clear()
         self.kept: list[Array] = []  # arrays that are being copied to the GPU
         self._here: Pinned | None = None
@@ -161,14 +161,14 @@ class Told:
         try:  # page-locked memory is reused, as allocating it is slow
             self._here = _spare.pop()
         except IndexError:
-            self._here = Pinned(TOLD.itemsize)
+            self._here = Pinned(CHECKS.itemsize)
         self.there.download(self._here.bytes)
 
     def certificate(self, space: Space) -> Certificate:
         """Return the certificate; the copy must be complete."""
         with _lock:
             if self._here is not None:
-                self._said = self._here.bytes.view(TOLD)[0].item()
+                self._said = self._here.bytes.view(CHECKS)[0].item()
                 _spare.append(self._here)
                 self._here = None
         worst, _rough, *counts = self._said
@@ -179,7 +179,7 @@ def paint(
     gpu: CudaDevice,
     spaces: tuple[Space, ...],
     dtype: np.dtype[Any],
-    told: Told,
+    checks: Checks,
     source: Samples,
     out: Samples,
     planes: tuple[int, int],
@@ -189,14 +189,14 @@ def paint(
     slab: int | None = None,
     **values: Any,
 ) -> Lattice:
-    """Launch the kernels for planes from, to on the stream of ``told``, slab by slab.
+    """Launch the kernels for planes from, to on the stream of ``checks``, slab by slab.
 
     There is one map, or one for each plane; images with one map share its nodes, and slices have nodes of their own.
     ``source`` and ``out`` begin with the first frame in memory, and with the first of the planes. ``together`` and
     ``filter`` are those of `Program`, and ``values`` other fields of the job. A launch has at most ``slab`` planes; by
     default, as many as scratch memory has room for. The returned lattice must be kept alive until the kernels are done.
     """
-    stream, lattice, space = told.there.stream, lattice_of(gpu, spaces, values["tolerance"]), spaces[0]
+    stream, lattice, space = checks.there.stream, lattice_of(gpu, spaces, values["tolerance"]), spaces[0]
     n, composed = space.ndim, lattice.composed
     sample, number = _TYPES[dtype.str[1:]]
     way = {name: int(values.get(name, 0)) for name in ("between", "average", "light")}
@@ -229,7 +229,7 @@ def paint(
         count = min(most, planes[1] - start)
         many, own = 1 if shared else count, sum(depth) + start
         first = out[0] + (start - planes[0]) * out[1] * dtype.itemsize
-        job = record(JOB, **values, source=source, out=(first, *out[1:]), told=told.there.pointer, planes=many,
+        job = record(JOB, **values, source=source, out=(first, *out[1:]), checks=checks.there.pointer, planes=many,
                      first=own, shared=count if shared else 0, maps=lattice.memory.pointer,
                      map_count=len(spaces), xs=xs, ys=xs + 4 * nx, nx=nx, ny=ny, from_x=first_x, from_y=first_y,
                      height=height, width=width)  # fmt: skip
@@ -244,7 +244,7 @@ def warp(
     gpu: CudaDevice,
     work: Work,
     dtype: np.dtype[Any],
-    told: Told,
+    checks: Checks,
     source: Samples,
     out: Samples,
     planes: tuple[int, int],
@@ -261,14 +261,14 @@ def warp(
     pointer = 0
     if sampling.outside == "constant":
         fill = np.full(group.channels, sampling.fill)
-        held = Memory(fill.nbytes, told.there.stream)
+        held = Memory(fill.nbytes, checks.there.stream)
         held.upload(fill)
-        told.kept.append(fill)
+        checks.kept.append(fill)
         pointer = held.pointer
     white = 1.0 if dtype == np.bool_ else work.layout.white
     high = min(white, int(np.iinfo(dtype).max)) if dtype.kind in "iu" else white
     return paint(
-        gpu, work.spaces, dtype, told, source, out, planes, slab=slab,
+        gpu, work.spaces, dtype, checks, source, out, planes, slab=slab,
         together=group.channels if group.channels in (1, 3) and not group.alpha else 4,
         filter=FILTERS[sampling.filter],
         tolerance=sampling.tolerance,

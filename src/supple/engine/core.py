@@ -46,17 +46,17 @@ def _laid(space: Space, step: tuple[int, int]) -> tuple[int, tuple[int, int], _c
 
 def certificate_of(plan: _core.Plan, space: Space) -> Certificate:
     """Return the certificate of a plan from the checks of its cells; its counts are of fields alone."""
-    return _certificate((plan.error, plan.evaluations, plan.unsolved, plan.folds, plan.outside), space)
+    return _certificate(plan.checks, space)
 
 
-def _certificate(told: _core.Told, space: Space) -> Certificate:
-    return Certificate(*(told[:2] if space.composite is None else told))
+def _certificate(checks: _core.Checks, space: Space) -> Certificate:
+    return Certificate(*(checks[:2] if space.composite is None else checks))
 
 
 def measured(plan: _core.Plan, tolerance: float) -> Certificate:
     """Return the error of a plan's source points, measured at every pixel by further Newton steps."""
     error, unknown = plan.measure(min(1e-5, 1e-3 * tolerance))
-    return Certificate(error, plan.evaluations, unknown)
+    return Certificate(error, plan.checks[1], unknown)
 
 
 def needed(
@@ -68,7 +68,7 @@ def needed(
     the output, in pixels; -1 where no stroke reaches it. The certificate is that of the map in these planes.
     """
     (count, rows, columns), (first, (height, width), box) = space.planes, _laid(space, (1, 1))
-    part, moved, told = _core.needed(
+    part, moved, checks = _core.needed(
         space.map,
         height,
         width,
@@ -79,7 +79,7 @@ def needed(
         sampling.codes,
         box or (0, columns, 0, rows),
     )
-    return part, moved, _certificate(told, space)
+    return part, moved, _certificate(checks, space)
 
 
 def working_dtype(dtype: np.dtype[Any]) -> np.dtype[Any]:
@@ -159,8 +159,8 @@ def sample(
         numbered = list(range(first + some.start, first + some.stop))
         jobs = samplings_of(work, frames, [out[some] for out in outs], space.count, corner)
         marked = None if copied is None else list(copied[some])
-        told = _core.warp_stack(space.map, *shape, numbered, tolerance, jobs, box, marked)
-        certificate |= _certificate(told, space)
+        checks = _core.warp_stack(space.map, *shape, numbered, tolerance, jobs, box, marked)
+        certificate |= _certificate(checks, space)
         tell("warp", some.stop, planes)
     return certificate
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, TypedDict
@@ -11,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from supple import _core
-from supple.errors import FoldWarning, OutsideWarning, SuppleError, ToleranceWarning, argument
+from supple.errors import FoldWarning, OutsideWarning, SuppleError, ToleranceWarning, argument, warn
 from supple.space.checks import Vector, assign, choice, flag, number, refuse
 
 # Codes shared with the core and CUDA.
@@ -208,7 +207,7 @@ def certificate_of_status(status: npt.NDArray[np.uint8]) -> Certificate:
 def warn_of(
     certificate: Certificate,
     tolerance: float,
-    stacklevel: int,
+    stacklevel: int = 0,
     folds: str = "",
     field_name: str = "a field",
     unit: str = "px",
@@ -216,7 +215,7 @@ def warn_of(
     """Warn if a map may be less accurate than the tolerance, or has folds or gaps.
 
     ``folds`` names the inverted fields that fold, if any, so that all folds are in one warning. ``field_name`` is the
-    name of the field, if there is only one.
+    name of the field, if there is only one. ``stacklevel`` has no effect.
     """
     told = [f"{folds}: where they are mapped to, the inverse is one of several points"] if folds else []
     if certificate.unknown or certificate.folded:
@@ -230,18 +229,16 @@ def warn_of(
         told.append(f"{'' if folds else f'{field_name} folds: '}{', and '.join(found)}")
         told.append(f"what is shown there is one of several points{', or a guess' if certificate.unknown else ''}")
     if told:
-        warnings.warn(f"{'; '.join(told)} (supple check shows where)", FoldWarning, stacklevel=stacklevel)
+        warn(f"{'; '.join(told)} (supple check shows where)", FoldWarning)
     if certificate.outside:
-        warnings.warn(
+        warn(
             f"to {certificate.outside} of the points solved, no point of a field's grid is mapped: what is shown there "
             "continues the field beyond its edge",
             OutsideWarning,
-            stacklevel=stacklevel,
         )
     if not certificate.unknown and not certificate.error <= 1.01 * tolerance + FINEST:
-        warnings.warn(
+        warn(
             f"the map may be off by {certificate.error:.2g} {unit} somewhere, more than the tolerance {tolerance:g}: "
             "use a larger radius, a shorter drag or a larger tolerance",
             ToleranceWarning,
-            stacklevel=stacklevel,
         )

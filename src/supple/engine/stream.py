@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import math
-import warnings
 from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from contextvars import copy_context
@@ -20,7 +19,7 @@ from supple.engine.memory import buffers
 from supple.engine.motion import Motion
 from supple.engine.sampling import LONGEST, Certificate
 from supple.engine.work import Array, Tell, Work, silent
-from supple.errors import GapWarning, SuppleError
+from supple.errors import GapWarning, SuppleError, warn
 
 if TYPE_CHECKING:
     from concurrent.futures import Future
@@ -250,7 +249,7 @@ def _reading(
                     warned = not all(np.isfinite(slots[number]).all() for number in averaged)
                     if warned:
                         text = f"frame {have} has NaN or infinite samples, which spread as far as the filter reaches"
-                        warnings.warn(text, GapWarning, stacklevel=2)
+                        warn(text, GapWarning)
             have += 1
 
     return read

@@ -531,7 +531,7 @@ def compose(maps: Sequence[Map | Placed], grid: Grid) -> Field:
     check_path(given, grid, "the grid of the result")
     parts = [placed.packed(np.eye(n + 1)) for placed in given]
     values, certificate = checks.values_at(parts, grid)
-    warn_of(certificate, 1.0, 3, folds_of(given), only_name(given))
+    warn_of(certificate, 1.0, folds=folds_of(given), field_name=only_name(given))
     return Field(values, grid)
 
 

@@ -22,7 +22,7 @@ from supple.engine.motion import need_flow
 from supple.engine.sampling import DEFAULT, Certificate, Sampling, warn_of
 from supple.engine.stream import Done, Frame, Plan, make_plan, run, stream
 from supple.engine.work import Array, Layout, Tell, Work
-from supple.errors import OutsideWarning, SuppleError, argument, caller, counting, numbered, shown
+from supple.errors import OutsideWarning, SuppleError, argument, counting, numbered, shown, warn
 from supple.files.jobs import Job, Warped
 from supple.files.options import ClipOptions, GridOptions, PathLike
 from supple.folding.resolved import warn_of_still
@@ -174,7 +174,7 @@ def _written(job: Job, clip: Clip, deformations: tuple[Deformation, ...], bent: 
             plan = make_plan(work, bent)
             for z, arrays, certificate in streamed(clip, work, plan, known.memory):
                 sink.write(arrays, z)
-                warn_of(certificate, sampling.tolerance, 3)
+                warn_of(certificate, sampling.tolerance)
                 tell("warp", 1, 1)
         done, count = Done(certificate, int(plan.still.sum()), plan.capacity), 1
     elif untouched and os.path.isfile(source) and suffix_of(source) == suffix_of(target):
@@ -188,7 +188,7 @@ def _written(job: Job, clip: Clip, deformations: tuple[Deformation, ...], bent: 
         # Open the writer first, so that its errors come before any work.
         with _writer(clip, job) as sink:
             done = run(clip, sink, work, memory=known.memory, tell=tell)
-            warn_of(done.certificate, sampling.tolerance, 3)  # before the target is renamed
+            warn_of(done.certificate, sampling.tolerance)  # before the target is renamed
             if done.still == clip.count:
                 _warn_of_none(job.recipe, clip)
         copied = sink.copied
@@ -208,7 +208,7 @@ def _warn_of_none(recipe: Recipe, clip: Clip) -> None:
     able = (each for each in recipe.strokes if each.strength and not each.hidden and not each.is_still)
     if recipe.amount and any(able):
         text = f"no stroke moves a pixel of any frame of {clip.name}: its frames are as they were"
-        warnings.warn(text, OutsideWarning, stacklevel=caller())
+        warn(text, OutsideWarning)
 
 
 def check(job: Job) -> None:
@@ -436,7 +436,7 @@ def warn_of_display(clip: Clip) -> None:
     if how := displayed(clip.rotation, clip.mirrored):
         height, width = clip.layout.shape
         what = f"is {how} when it is played: points are in the frame as it is stored, {width} x {height}"
-        warnings.warn(f"{clip.name} {what}", ClipWarning, stacklevel=caller())
+        warn(f"{clip.name} {what}", ClipWarning)
 
 
 def warn_of_frames(clip: Clip, deformations: Sequence[Deformation]) -> None:
@@ -449,7 +449,7 @@ def warn_of_frames(clip: Clip, deformations: Sequence[Deformation]) -> None:
             f"is interlaced, {clip.fields} field first, and the two fields of a frame are bent as one picture, which "
             "mixes them: deinterlace it first, with FFmpeg's filter bwdif for instance"
         )
-        warnings.warn(f"{clip.name} {what}", ClipWarning, stacklevel=4)
+        warn(f"{clip.name} {what}", ClipWarning)
 
 
 def motion_of(
@@ -499,7 +499,7 @@ def motion_of(
     for (kind, _), (text, some) in told.items():
         at = [k for k, now in enumerate(frames) if now in some]
         more = f" (and in {len(at) - 1} more)" if len(at) > 1 else ""
-        warnings.warn(f"frame {numbered(at[0])}{more}: {text}", kind, stacklevel=4)
+        warn(f"frame {numbered(at[0])}{more}: {text}", kind)
     return tuple(still if bent is not None and k not in bent else known[now] for k, now in enumerate(frames))
 
 
@@ -516,8 +516,8 @@ def _check_places(
         if len(frames) > 1 and (frames[-1] < 0 or frames[0] >= count):
             text = f"{which} has positions in frames {numbered(frames[0])} to {numbered(frames[-1])}, and the clip has "
             text += f"{count}, from {numbered(0)}: it follows none of them (does the track give the first another?)"
-            warnings.warn(text, OutsideWarning, stacklevel=5)
+            warn(text, OutsideWarning)
         places = [strokes[i].at for strokes in seen]
         if not any(-0.5 <= x <= width - 0.5 and -0.5 <= y <= height - 0.5 for x, y in places):
             text = f"{which} starts outside the picture, which has {width} x {height} pixels, in every frame"
-            warnings.warn(text, OutsideWarning, stacklevel=5)
+            warn(text, OutsideWarning)

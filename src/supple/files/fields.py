@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import json
 import time
-import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -18,7 +17,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from supple.errors import FoldWarning, OutsideWarning, SuppleError, argument, shown
+from supple.errors import FoldWarning, OutsideWarning, SuppleError, argument, shown, warn
 from supple.fields import OK, Field, Map, Placed, check_path, compose, own_grid, told, write_maps
 from supple.fields.checks import FieldReport
 from supple.files.maps import (
@@ -374,7 +373,7 @@ def _warn_of_size(path: PathLike, convention: str, source: object, grid: Grid | 
     width, height = grid.sizes[:2]
     text = f"{shown(path)} counts in the size of the picture that it leads to, which is not given: it is taken to have "
     text += f"{width} x {height} pixels, as the map has: {argument('source')} names that picture"
-    warnings.warn(text, OutsideWarning, stacklevel=3)
+    warn(text, OutsideWarning)
 
 
 def doubt_of(read: MapFile, folded: int, cells: int) -> str:
@@ -396,4 +395,4 @@ def _warn_of(counts: Mapping[str, int], read: MapFile) -> None:
         text = f"{shown(read.path)}: of {whole:,} {'pixel' if field.ndim == 2 else 'voxel'}s of the inverse, "
         text += f"{', '.join(found)}: they hold the nearest that was found; nothing was smoothed or set to zero "
         text += f"({argument('status')} shows where){doubt}"
-        warnings.warn(text, FoldWarning, stacklevel=3)
+        warn(text, FoldWarning)

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import contextlib
 import os
-import warnings
 from collections.abc import Iterator, Sequence
 
 import numpy as np
 import numpy.typing as npt
 
-from supple.errors import FreezeWarning, SuppleError, shown
+from supple.errors import FreezeWarning, SuppleError, shown, warn
 from supple.files.clips import open_clip
 from supple.media import image, volume
 from supple.media.base import CountError
@@ -48,7 +47,7 @@ def read_freeze(path: PathLike, *, label: int | None = None, width: float | None
     if made.is_free:
         seen, frozen = ("0", "all but 0") if whole else ("black", "white")
         text = f"nothing is frozen in {shown(path)}: all of it is {seen}, and {frozen} is frozen"
-        warnings.warn(text, FreezeWarning, stacklevel=2)
+        warn(text, FreezeWarning)
     return made
 
 

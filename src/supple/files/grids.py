@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import math
 import os
-import warnings
 from collections.abc import Sequence
 
-from supple.errors import SuppleError, VolumeWarning, shown
+from supple.errors import SuppleError, VolumeWarning, shown, warn
 from supple.fields import Placed, check_path
 from supple.files.options import GridOptions, PathLike
 from supple.media.files import is_store
@@ -73,7 +72,7 @@ def warn_of_place(geometry: Geometry, name: str) -> None:
         text = (
             f"{name} does not say where its voxels lie in space: its first one is taken to lie at (0, 0, 0), and its "
         )
-        warnings.warn(f"{text}axes along those of LPS", VolumeWarning, stacklevel=3)
+        warn(f"{text}axes along those of LPS", VolumeWarning)
 
 
 def grid_on(options: GridOptions | None, grid: Grid, name: str, maps: Sequence[Placed]) -> Grid | None:

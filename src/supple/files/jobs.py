@@ -82,6 +82,7 @@ class Job:
     @cached_property
     def medium(self) -> Medium:
         """The source with its kind."""
+        self.volume.check(self.source)
         axes = [*(each.ndim for each in self.recipe.strokes[:1]), *(each.map.ndim for each in self.maps[:1])]
         axes += [self.grid.ndim] if self.grid is not None and self.grid.ndim is not None else []
         shot = self.clip

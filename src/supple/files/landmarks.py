@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import warnings
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -12,7 +11,16 @@ from typing import Any
 import numpy as np
 
 from supple.deformation import Deformation
-from supple.errors import FoldWarning, OutsideWarning, SuppleError, ToleranceWarning, VolumeWarning, argument, shown
+from supple.errors import (
+    FoldWarning,
+    OutsideWarning,
+    SuppleError,
+    ToleranceWarning,
+    VolumeWarning,
+    argument,
+    shown,
+    warn,
+)
 from supple.fields import folds_of
 from supple.media.files import PathLike, check_output
 from supple.media.meshes import PointFile
@@ -146,14 +154,14 @@ def move_points(
         first = f"{shown(read.labels[k]) if read.labels[k] else f'point {k + 1}'} at {_listed(read.points[k])}"
         text = f"{len(beyond)} of {len(made)} points {'lies' if len(beyond) == 1 else 'lie'} outside"
         which = f" ({first}{', for one' if len(beyond) > 1 else ''})"
-        warnings.warn(f"{text}{which}: they are moved all the same", OutsideWarning, stacklevel=2)
+        warn(f"{text}{which}: they are moved all the same", OutsideWarning)
     solved = (replace(each, inverse=True) for each in deformation.maps if each.inverse == inverse)
     if folds := folds_of(solved):
         text = f"{folds}: where they lead to, a point is one of several, and its error is the distance to that one"
-        warnings.warn(text, FoldWarning, stacklevel=2)
+        warn(text, FoldWarning)
     if lost:
         text = f"{lost} of {len(made)} points did not converge: their error is inf"
-        warnings.warn(text, ToleranceWarning, stacklevel=2)
+        warn(text, ToleranceWarning)
     axes = told(np.eye(3)) - told(np.zeros(3))
     normals = _turned(read, deformation, end if inverse else start, axes.T, inverse)
     moves = (made != read.points).any(axis=1)
@@ -194,7 +202,7 @@ def warn_of_frame(source: PathLike, volume: Volume) -> None:
     one, other = frame_of_reference(os.fspath(source)), frame_of_reference(os.fspath(slices[0]))
     if one and other and one != other:
         told = f"{shown(source)} is of another frame of reference ({one}) than {volume.name} ({other})"
-        warnings.warn(f"{told}: its points may not lie where they seem to", VolumeWarning, stacklevel=2)
+        warn(f"{told}: its points may not lie where they seem to", VolumeWarning)
 
 
 def _turned(read: PointFile, deformation: Deformation, points: Floats, axes: Floats, inverse: bool) -> Floats:
@@ -315,9 +323,7 @@ def convention_of(read: PointFile, asked: str | None, place: str | None) -> str:
     if asked is None and place not in (None, "array"):
         if read.told == "names":
             text = f"x, y and z of {read.name} are taken for voxels, counted from 0"
-            warnings.warn(
-                f"{text}: {argument('convention')} LPS or RAS takes them for millimetres", VolumeWarning, stacklevel=4
-            )
+            warn(f"{text}: {argument('convention')} LPS or RAS takes them for millimetres", VolumeWarning)
         elif read.told != "said":
             advice = "LPS or RAS (millimetres), or index (voxels from 0), or name columns l,p,s, r,a,s or i,j,k"
             raise SuppleError(f"{refused} does not say what its numbers are: give {argument('convention')} {advice}")

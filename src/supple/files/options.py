@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from supple.errors import SuppleError
+from supple.errors import SuppleError, argument, shown
 from supple.media.files import PathLike as PathLike
 from supple.space.checks import checked_spacing, integer, items, refuse
 
@@ -100,6 +102,17 @@ class VolumeOptions:
     def __post_init__(self) -> None:
         if not isinstance(self.labels, bool) and self.labels not in ("nearest", "smooth"):
             refuse("labels", '"nearest" or "smooth", or a flag', self.labels)
+
+    def check(self, path: PathLike) -> None:
+        """Raise SuppleError if options for DICOM are given, and a file or folder is not DICOM."""
+        from supple.media.volume import is_dicom
+
+        for name in ("series", "irregular"):
+            if getattr(self, name) is not None and os.path.exists(path):
+                with contextlib.suppress(SuppleError):  # of no volume at all
+                    if is_dicom(path):
+                        continue
+                raise SuppleError(f"{argument(name)} is for DICOM folders, and {shown(path)} is none: leave it out")
 
     @property
     def how(self) -> dict[str, Any]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shutil
-import warnings
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -12,7 +11,7 @@ from supple.arrays import warp_picture
 from supple.deformation import Deformation
 from supple.engine.sampling import warn_of
 from supple.engine.work import Tell
-from supple.errors import SuppleError, argument, shown
+from supple.errors import SuppleError, argument, shown, warn
 from supple.fields import folds_of, only_name
 from supple.files.grids import grid_on
 from supple.files.jobs import Job, Warped
@@ -78,7 +77,7 @@ def warp(job: Job, tell: Tell) -> Warped:
         picture = with_opacity(picture, target)
         if not picture.alpha:
             what = "holds no opacity, and the empty corners are black"
-            warnings.warn(f"{shown(target)} {what}: {argument('fill')} names a colour", ImageWarning, stacklevel=3)
+            warn(f"{shown(target)} {what}: {argument('fill')} names a colour", ImageWarning)
     bounded = picture.pixels.dtype.kind == "f" if job.clamp is None else job.clamp
     options: dict[str, Any] = {"clamp": bounded, "device": job.device, "name": name}
     groups = ((False, ()),) if layers is None else layers.groups
@@ -93,7 +92,7 @@ def warp(job: Job, tell: Tell) -> Warped:
         layers = replace(layers, arrays=tuple(arrays))
         picture = replace(picture, _header={**picture._header, "exr": layers})
         warn_of_exact(layers)
-    warn_of(found, sampling.tolerance, 3, folds_of(maps), only_name(maps))
+    warn_of(found, sampling.tolerance, folds=folds_of(maps), field_name=only_name(maps))
     tell("write", 2, 3)
     write(target, picture, quality=job.quality, lossless=job.lossless, compression=job.compression, force=job.force)
     return replace(

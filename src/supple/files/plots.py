@@ -84,8 +84,8 @@ def plot_file(
         if frame is not None or options != ClipOptions(memory=options.memory):
             raise SuppleError(f"{shown(source)} is a volume, which has no frames: leave out what is for videos")
         return _plot_volume(job, what, plane)
-    for name, value in (("plane", plane), ("reference", job.grid if kind == "clip" else None)):
-        if value is not None:
+    for name, value in (("plane", plane), ("reference", job.grid and kind == "clip"), ("world", job.volume.world)):
+        if value:
             raise SuppleError(f"{argument(name)} is for volumes, and {shown(source)} is none: leave it out")
     refuse_places(recipe, source)
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import math
 import os
-import warnings
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -16,7 +15,7 @@ import numpy.typing as npt
 from supple.arrays import warp_array
 from supple.engine.sampling import Sampling, warn_of
 from supple.engine.work import Array, Tell
-from supple.errors import OutsideWarning, SuppleError, VolumeWarning, argument, shown
+from supple.errors import OutsideWarning, SuppleError, VolumeWarning, argument, shown, warn
 from supple.files.grids import grid_on
 from supple.files.jobs import Job
 from supple.files.landmarks import convention_of, warn_of_frame
@@ -32,10 +31,10 @@ from supple.render.box import Clip, Plane
 from supple.render.camera import Camera
 from supple.render.labels import LabelColours, labels_in
 from supple.render.meshes import Surface
-from supple.render.picture import Rendering, are_colours
+from supple.render.picture import Rendering, are_colours, colour_of
 from supple.render.scene import Scene, check_options
 from supple.render.transfer import HOUNSFIELD, LABELS, SUFFIXES, Transfer, transfer_of
-from supple.space.checks import choice, integer, number, point
+from supple.space.checks import choice, integer, number
 from supple.space.geometry import check_upright
 
 WHATS = ("picture", "inversions")
@@ -58,9 +57,7 @@ class MeshFile:
     """A mesh or contours in a file, and their colour."""
 
     path: PathLike  # .stl, .obj, .ply, .vtk (PolyData), .vtp; or a structure set of DICOM, .dcm
-    colour: Colour | None = (
-        None  # sRGB from 0 to 1; by default, that of each region of a structure set, or of `COLOURS`
-    )
+    colour: Colour | None = None  # sRGB from 0 to 1; by default, that of a structure set's region, or of `COLOURS`
 
 
 @dataclass(frozen=True, slots=True)
@@ -164,8 +161,7 @@ class RenderOptions:
         if self.turntable is not None:
             integer("turntable", self.turntable, "a number of pictures from 2 to 100000", 2, 100_000)
         if self.background is not None:
-            for value in point("background", self.background, (3,)):
-                number("background", value, "three numbers from 0 to 1", 0.0, 1.0)
+            colour_of("background", self.background)
         if self.rate is not None:
             number("rate", self.rate, "a number of pictures a second above 0", 1e-3, 1e4)
             if self.turntable is None:
@@ -199,7 +195,7 @@ def read_surfaces(given: Sequence[MeshFile], volume: Volume, convention: str | N
             raise SuppleError(text)
         if ((points < -0.5) | (points > np.array(volume.sizes) - 0.5)).any(axis=1).all():
             text = f"no point of {read.name} lies in {volume.name}"
-            warnings.warn(f"{text}: see whether its coordinates are of that volume", OutsideWarning, stacklevel=4)
+            warn(f"{text}: see whether its coordinates are of that volume", OutsideWarning)
         for part in parts:
             colour = each.colour or part.colour or COLOURS[len(made) % len(COLOURS)]
             used = np.zeros(len(points), np.bool_)  # points of no face or line are invisible
@@ -291,7 +287,7 @@ def scene_of(volume: Volume, job: Job, known: RenderOptions) -> Scene:
                 f"{100 * apart:.2g} % of what is as dense as skin in {volume.name} is thin and lies beside the body, as"
             )
             text = f"{text} a table or a head holder does, and is left out: {argument('table')} shows it"
-            warnings.warn(text, VolumeWarning, stacklevel=3)
+            warn(text, VolumeWarning)
     if known.crop is not None or known.largest:
         transfer = fixed(samples, transfer)
     if known.crop is not None:
@@ -304,7 +300,7 @@ def scene_of(volume: Volume, job: Job, known: RenderOptions) -> Scene:
         mixed = "nearest" if labels else "linear"
         sampling = Sampling(filter=mixed, outside="constant", fill=fill)
         samples, certificate = warp_array(samples, deformation.space_on(grid, volume.grid), sampling)
-        warn_of(certificate, sampling.tolerance, 3)
+        warn_of(certificate, sampling.tolerance)
         onto, own = grid or volume.grid, deformation.grid
         places = [deformation.forward(own.indices(volume.grid.positions(m.points))) for m in meshes]
         meshes = tuple(
@@ -328,7 +324,7 @@ def _check_labels(samples: Array, transfer: LabelColours, name: str) -> None:
     missing = [str(k) for k in found.tolist() if transfer.colours is not None and k not in transfer.colours]
     if missing:
         told = f"{', '.join(missing[:8])}{' and others' if len(missing) > 8 else ''}"
-        warnings.warn(f"labels of {name} without a colour are not seen: {told}", VolumeWarning, stacklevel=4)
+        warn(f"labels of {name} without a colour are not seen: {told}", VolumeWarning)
 
 
 def _saved(scene: Scene, path: PathLike, name: str) -> str:
@@ -395,7 +391,7 @@ def render_file(
         told = f"{known.transfer} is of Hounsfield units, where air is -1000 and water 0"
         low, high = scene.range
         text = f"{told}, and the values of {given.name} go from {low:g} to {high:g}: mr-head is of any units"
-        warnings.warn(text, VolumeWarning, stacklevel=2)
+        warn(text, VolumeWarning)
     if known.legend and scene.labels is None:
         text = f"{argument('legend')} lists the labels of a segmentation, and {given.name} is rendered by its values"
         raise SuppleError(f"{text}: leave it out, or choose transfer labels")
@@ -454,10 +450,10 @@ def _warn_of_view(picture: Rendering, known: RenderOptions, name: str) -> None:
     """Warn if nothing is in view, or if the camera is inside an opaque part."""
     if not picture.light[..., 3].any():
         told = "what is cut away, or where the camera looks, leaves it out"
-        warnings.warn(f"nothing is seen of {name}: {told}", VolumeWarning, stacklevel=4)
+        warn(f"nothing is seen of {name}: {told}", VolumeWarning)
     elif known.projection == "none" and not picture.depth.any():
         told = "give another distance or target, or cut away what is before it by clip or plane"
-        warnings.warn(f"the camera stands within what is visible of {name}: {told}", VolumeWarning, stacklevel=4)
+        warn(f"the camera stands within what is visible of {name}: {told}", VolumeWarning)
 
 
 def _check_target(target: PathLike, suffix: str, known: RenderOptions, force: bool) -> None:

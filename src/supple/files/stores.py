@@ -23,7 +23,7 @@ from supple.blocks import Block, Box, Warp, boxes_of, chunks_of
 from supple.deformation import Deformation
 from supple.engine.sampling import Certificate, Sampling, warn_of
 from supple.engine.work import Tell, work_of
-from supple.errors import SuppleError, VolumeWarning, argument, shown
+from supple.errors import SuppleError, VolumeWarning, argument, shown, warn
 from supple.fields import Field, Placed, folds_of, only_name
 from supple.files.grids import grid_on
 from supple.files.jobs import Job, Warped
@@ -163,7 +163,7 @@ def _labels(source: Source, job: Job) -> tuple[str, ...]:
                 why = str(error)
         if why:
             text = f"the label image {shown(name)} of {source.name} is not carried over ({why})"
-            warnings.warn(f"{text}: bend it by itself, as labels", VolumeWarning, stacklevel=3)
+            warn(f"{text}: bend it by itself, as labels", VolumeWarning)
         else:
             names.append(name)
     return tuple(names)
@@ -252,7 +252,7 @@ def _write_blocks(
     advance = advancing(tell, "warp", counts["blocks"])
     for blocks, certificate, last in planned(work.warp, chunks[carried:], runner, tell):
         if warn and last:  # before the last blocks are written, in case warnings are errors
-            warn_of(certificate, work.warp.sampling.tolerance, 4, folds_of(maps), only_name(maps))
+            warn_of(certificate, work.warp.sampling.tolerance, folds=folds_of(maps), field_name=only_name(maps))
         items = itertools.product(leads, blocks)
         while some := list(itertools.islice(items, _AT_ONCE)):
             for way, count in runner.each(_write_block, work, some, advance):
@@ -340,7 +340,7 @@ def plan_file(job: Job, tell: Tell = lambda step, done, total: None) -> Planned:
                 read += part * positions
                 own = math.prod(b - a for a, b in one.part) * item
                 most = max(most, (part + own + 2 * count) * math.prod(task[:carried]))
-    warn_of(certificate, warp.sampling.tolerance, 3, folds_of(job.maps), only_name(job.maps))
+    warn_of(certificate, warp.sampling.tolerance, folds=folds_of(job.maps), field_name=only_name(job.maps))
     levels = sum(math.prod(level.array.shape) / math.prod(image.shape) for level in image.levels)
     return Planned(
         shape, str(image.dtype), task, math.prod(map(len, sizes)), copied, read, copied_bytes, slots, most * slots,

@@ -5,7 +5,6 @@ from __future__ import annotations
 import itertools
 import math
 import os
-import warnings
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
@@ -14,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from supple.engine.work import Array, Tell, silent
-from supple.errors import SuppleError, TrackWarning, argument, caller, listing, need, numbered, shown
+from supple.errors import SuppleError, TrackWarning, argument, listing, need, numbered, shown, warn
 from supple.files.clips import counted_anew, open_clip, refuse_picture, warn_of_display
 from supple.files.options import GB, PathLike
 from supple.media.files import replacing
@@ -273,7 +272,7 @@ def _joined(onwards: Sequence[_Walk], backwards: Sequence[_Walk], corner: Number
     if lines and all(len(each.frames) == 1 for each in tracks):
         raise SuppleError(f"{lines[0]}: choose a corner or a spot that stays in sight")
     for line in lines:
-        warnings.warn(line, TrackWarning, stacklevel=caller())
+        warn(line, TrackWarning)
     return tuple(tracks)
 
 
@@ -418,5 +417,5 @@ def follow_tracks(
         if len(alone.keys) == 1:
             at, what = numbered(alone.keys[0][0]), "fades beside it" if outside == "fade" else "stays there"
             text = f"{shown(path)}: a track has frame {at} alone: what follows it does not move, and {what}"
-            warnings.warn(text, TrackWarning, stacklevel=caller())
+            warn(text, TrackWarning)
     return replace(recipe, strokes=tuple(made))

@@ -84,7 +84,7 @@ def displacement_of(
     matrix: Floats = geometry.matrix[:3, :3] if grid is None else deformation.grid.matrix[:3, :3]
     certificate = pull_of(space, matrix, tolerance, made, None if grid is None else between(deformation.grid, grid))
     if warn:
-        warn_of(certificate, tolerance, 3)
+        warn_of(certificate, tolerance)
     return made
 
 
@@ -235,8 +235,8 @@ def write_field(work: Work, runner: Runner, tell: Tell, maps: Sequence[Placed]) 
             stored += new or there
             done += there
     pull, push = certificates
-    warn_of(pull, tolerance, 4, folds_of(maps), only_name(maps))
-    warn_of(push, tolerance, 4, "", f"{only_name(maps)}, as it is solved for {shown(target.address)},")
+    warn_of(pull, tolerance, folds=folds_of(maps), field_name=only_name(maps))
+    warn_of(push, tolerance, field_name=f"{only_name(maps)}, as it is solved for {shown(target.address)},")
     target.note(
         {**{way: _told(one, tolerance) for way, one in zip(_WAYS, certificates, strict=True)}, "chunks": stored}
     )

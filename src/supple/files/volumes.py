@@ -7,7 +7,6 @@ import itertools
 import json
 import os
 import shutil
-import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
@@ -21,7 +20,7 @@ from supple.deformation import Deformation
 from supple.engine.memory import beside, machine_memory
 from supple.engine.sampling import Certificate, Sampling, warn_of
 from supple.engine.work import Array, Space, Tell, work_of
-from supple.errors import GapWarning, SuppleError, VolumeWarning, argument, shown
+from supple.errors import GapWarning, SuppleError, VolumeWarning, argument, shown, warn
 from supple.fields import folds_of, only_name
 from supple.files.grids import grid_on, reference_grid, warn_of_place
 from supple.files.jobs import Job, Warped
@@ -77,7 +76,7 @@ def deformation_of(job: Job, volume: Volume) -> Deformation:
         made_for = " x ".join(map(str, located.size or ()))
         text = f"the recipe is of a volume of {made_for} voxels, and its border, a tenth of each axis, is elsewhere in "
         text += f"{volume.name}: the map is another one; the field of the first volume is the same"
-        warnings.warn(text, VolumeWarning, stacklevel=4)
+        warn(text, VolumeWarning)
     known = fit_recipe(located, volume.sizes, job.fit, volume.name)
     if maps:
         warn_of_place(volume.geometry, volume.name)
@@ -103,7 +102,7 @@ def warn_of_lengths(recipe: Recipe, grid: Grid, name: str, unit: str) -> None:
         else:
             continue
         text = f"the radius {stroke.radius:g} {unit} is {told}: lengths are in {unit}"
-        warnings.warn(text, VolumeWarning, stacklevel=4)
+        warn(text, VolumeWarning)
         return
 
 
@@ -292,7 +291,7 @@ def _warn_of_gaps(volume: Volume, filter: str) -> None:
     if gaps:
         text = f"{gaps} voxels of {volume.name} are NaN or infinite, and so is each voxel that is interpolated from "
         text += 'them: filter "nearest" keeps them as they are, and "linear" spreads them least'
-        warnings.warn(text, GapWarning, stacklevel=4)
+        warn(text, GapWarning)
 
 
 def _first_fraction(samples: Array) -> float | None:
@@ -326,7 +325,7 @@ def warn_of_labels(some: Array | None, name: str, *, known: bool = False) -> Non
         return
     told = "is a label map" if known or some is None else f"looks like a label map, of {len(np.unique(some))} values"
     text = f"{name} {told}, and its labels are mixed where they meet: {argument('labels', True)} keeps them"
-    warnings.warn(text, VolumeWarning, stacklevel=4)
+    warn(text, VolumeWarning)
 
 
 def _is_of_labels(some: Array | None) -> bool:
@@ -364,7 +363,9 @@ def _written(volume: Volume, like: Volume, job: Job, space: Space, sampling: Sam
     dtype = series.dtype.newbyteorder("=")
 
     def settle() -> None:  # before the target is renamed
-        warn_of(certificate, sampling.tolerance, 6, folds_of(job.maps), only_name(job.maps), "voxels")
+        warn_of(
+            certificate, sampling.tolerance, folds=folds_of(job.maps), field_name=only_name(job.maps), unit="voxels"
+        )
         tell("write", 0, 1)
 
     def slabs() -> Iterator[Array]:
@@ -417,10 +418,10 @@ def _copy_sidecar(source: PathLike, target: PathLike) -> None:
         return
     if os.path.lexists(ours):
         told = f"{shown(ours)} is there already, and stays as it is: {shown(theirs)} is not copied to it"
-        warnings.warn(told, VolumeWarning, stacklevel=4)
+        warn(told, VolumeWarning)
         return
     try:
         with replacing(ours) as place:
             place.write_text(text, encoding="utf-8")
     except SuppleError as error:  # only a warning: the volume is written
-        warnings.warn(str(error), VolumeWarning, stacklevel=4)
+        warn(str(error), VolumeWarning)

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from supple.fields import Field, sampled
 from supple.fields.checks import FieldReport
 from supple.plot import planes
-from supple.plot.frame import Box, Extend, bar, check_plot, save, set_axes, sheet, title
+from supple.plot.frame import Box, Extend, bar, check_plot, edges_of, save, set_axes, sheet, title
 from supple.space.checks import refuse
 from supple.space.geometry import Floats, Grid
 
@@ -99,7 +99,7 @@ def _slice(
 
 def _figure(seen: _Slice, report: FieldReport, name: str) -> Figure:
     height, width = seen.logarithms.shape
-    whole = _edges(seen)
+    whole = edges_of((height, width), seen.steps)
     near = _crowd(seen) if seen.folded.any() else None
     if near is not None and _area(near) > 0.5 * _area(whole):
         near = None
@@ -205,7 +205,7 @@ def _draw_jacobian(made: Figure, axes: Axes, seen: _Slice, box: Box) -> None:
     # A few samples beside a fold would make all others pale.
     reach = max(float(np.percentile(np.abs(known), 99)) if known.size else 0.0, 0.02)
     axes.set_facecolor(_GAP)
-    drawn = _show(axes, seen, seen.logarithms, TwoSlopeNorm(0.0, -reach, reach), "RdBu_r")
+    drawn = _show(axes, box, seen.logarithms, TwoSlopeNorm(0.0, -reach, reach), "RdBu_r")
     if seen.folded.any() and not _is_crowded(seen):
         halo = [withStroke(linewidth=2.6, foreground="black")]
         axes.add_collection(LineCollection(_outline(seen), colors=_FOLDED, linewidths=1.4, path_effects=halo))
@@ -225,20 +225,14 @@ def _draw_distances(made: Figure, axes: Axes, seen: _Slice, box: Box, distances:
     known = distances[np.isfinite(distances)]
     high = max(float(known.max()) if known.size else 0.0, 1e-6)
     axes.set_facecolor(_REST)
-    drawn = _show(axes, seen, np.maximum(distances, high * 1e-4), LogNorm(high * 1e-4, high), "magma")
+    drawn = _show(axes, box, np.maximum(distances, high * 1e-4), LogNorm(high * 1e-4, high), "magma")
     _set(axes, seen, box, f"|second(first(x)) − x|: at most {high:.2g} {seen.unit}")
     gaps = "; grey: first(x) is outside of the second field" if np.isnan(distances).any() else ""
     bar(made, drawn, axes, f"{seen.unit}{gaps}")
 
 
-def _show(axes: Axes, seen: _Slice, values: Singles, norm: Any, colours: str) -> Any:
-    return axes.imshow(values, extent=_edges(seen), norm=norm, cmap=colours, interpolation="nearest")
-
-
-def _edges(seen: _Slice) -> Box:
-    height, width = seen.logarithms.shape
-    sx, sy = seen.steps
-    return -0.5 * sx, (width - 0.5) * sx, (height - 0.5) * sy, -0.5 * sy
+def _show(axes: Axes, box: Box, values: Singles, norm: Any, colours: str) -> Any:
+    return axes.imshow(values, extent=box, norm=norm, cmap=colours, interpolation="nearest")
 
 
 def _area(box: Box) -> float:
@@ -246,10 +240,7 @@ def _area(box: Box) -> float:
 
 
 def _set(axes: Axes, seen: _Slice, box: Box, name: str) -> None:
-    labels = (f"x ({seen.unit})", f"y ({seen.unit})")
     if seen.plane:
-        left, right, above, below = seen.plane.letters
-        labels = f"{left} → {right} (mm)", f"{below} ← {above} (mm)"
-    set_axes(axes, box, 1.0, name, labels)
-    if seen.plane:
-        planes.mark(axes, seen.plane, box)
+        planes.set_up(axes, seen.plane, box, name)
+    else:
+        set_axes(axes, box, 1.0, name, (f"x ({seen.unit})", f"y ({seen.unit})"))

@@ -129,8 +129,13 @@ def ratio(deformation: Deformation) -> float:
 
 def edges(deformation: Deformation) -> Box:
     """Return left, right, bottom and top of the image: the outer edges of its pixels."""
-    height, width = deformation.shape[-2:]
-    return -0.5, width - 0.5, height - 0.5, -0.5
+    return edges_of(deformation.shape[-2:])
+
+
+def edges_of(shape: tuple[int, ...], steps: tuple[float, float] = (1, 1)) -> Box:
+    """Return left, right, bottom and top of samples (H, W), which are ``steps`` apart to the right and down."""
+    (height, width), (x, y) = shape, steps
+    return -0.5 * x, (width - 0.5) * x, (height - 0.5) * y, -0.5 * y
 
 
 def map_axes(axes: Axes, deformation: Deformation, name: str) -> None:
@@ -155,8 +160,7 @@ def show(
     axes: Axes, values: Floats, every: int, norm: Normalize, colours: str, alpha: Floats | float | None = None
 ) -> AxesImage:
     """Draw values of every ``every``-th pixel as a map."""
-    rows, columns = values.shape
-    extent = (-every / 2, (columns - 0.5) * every, (rows - 0.5) * every, -every / 2)
+    extent = edges_of(values.shape, (every, every))
     return axes.imshow(values, extent=extent, norm=norm, cmap=colours, alpha=alpha, interpolation="nearest")
 
 

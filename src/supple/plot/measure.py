@@ -14,7 +14,7 @@ import numpy.typing as npt
 from supple import _core
 from supple.deformation import Deformation
 from supple.engine import paper
-from supple.engine.core import measured, plan_of
+from supple.engine.core import certificate_of, measured, plan_of
 from supple.engine.sampling import Certificate
 from supple.errors import SuppleError, argument
 from supple.space.checks import integer, number
@@ -112,7 +112,7 @@ def iterations(deformation: Deformation, frame: int | None = None) -> Iterations
     exact = deformation.inverse(q)
     used = 0.0
     if not deformation.is_identity:
-        used = _plan(deformation, frame, 0.01).evaluations
+        used = certificate_of(_plan(deformation, frame, 0.01), space).evaluations
     apart = np.asarray(np.linalg.norm(points - exact.points, axis=-1))
     missed = int(np.count_nonzero(residuals >= 0.1))
     return Iterations(every, counts, missed, apart, exact.steps, exact.residual, used / (height * width))

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from supple.plot.frame import Box
+from supple.plot.frame import Box, set_axes
 from supple.space.checks import refuse
 from supple.space.geometry import PLANES, SIDES, Floats, Grid, plane_axes
 
@@ -115,10 +115,12 @@ def _side(way: Floats) -> str:
     return SIDES[axis][int(way[axis] < 0)]
 
 
-def mark(axes: Axes, plane: Plane, box: Box) -> None:
-    """Draw the letters of the patient's sides at the edges of a picture in millimetres, and a scale bar below."""
+def set_up(axes: Axes, plane: Plane, box: Box, name: str) -> None:
+    """Set axes up for a picture in millimetres: the letters of the patient's sides at its edges, a scale bar below."""
     from matplotlib.patheffects import withStroke
 
+    before, after, above, below = plane.letters
+    set_axes(axes, box, 1.0, name, (f"{before} → {after} (mm)", f"{below} ← {above} (mm)"))
     left, right, bottom, top = box
     halo: dict[str, Any] = {"path_effects": [withStroke(linewidth=2.4, foreground=_OUTLINE)], "color": "white"}
     for text, x, y in zip(plane.letters, (0.02, 0.98, 0.5, 0.5), (0.5, 0.5, 0.98, 0.02), strict=True):

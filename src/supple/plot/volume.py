@@ -14,7 +14,7 @@ from supple.deformation import Deformation
 from supple.engine.sampling import Sampling, warn_of
 from supple.fields import Field
 from supple.plot import planes
-from supple.plot.frame import bar, check_plot, save, set_axes, sheet, title
+from supple.plot.frame import bar, check_plot, edges_of, save, sheet, title
 from supple.space.geometry import Floats, Grid
 
 if TYPE_CHECKING:
@@ -75,7 +75,7 @@ def draw_volume(
     part = seen.part
     mixed = "nearest" if labels else "linear"
     slab, certificate = warp_array(samples, deformation.space_on(part, own), Sampling(mixed))
-    warn_of(certificate, 0.01, 3)
+    warn_of(certificate, 0.01)
     index = np.stack(np.meshgrid(*(np.arange(n) for n in part.sizes[::-1]), indexing="ij")[::-1], axis=-1)
     places = part.positions(index.reshape(-1, 3).astype(np.float64))
     points = deformation.inverse(deformation.grid.indices(places)).points
@@ -100,7 +100,7 @@ def _figure(
     from matplotlib.colors import TwoSlopeNorm
 
     (height, width), (sx, sy) = slab.shape, plane.steps
-    box = -0.5 * sx, (width - 0.5) * sx, (height - 0.5) * sy, -0.5 * sy
+    box = edges_of(slab.shape, plane.steps)
     tall = min(max(height * sy / (width * sx), 0.4), 1.6) * _PANEL
     made, (axes,) = sheet(_PANEL + (2.0 if what == "stretch" else 1.0), tall + 1.3, 1, 1)
     known = slab[np.isfinite(slab)].astype(np.float64)
@@ -128,7 +128,5 @@ def _figure(
         extend: Any = "both" if np.abs(values).max() > 1.001 * reach else "neither"
         bar(made, drawn, axes, "ln(output volume / input volume)", extend)
         text = f"Change of volume: {np.exp(values.min()):.2f} to {np.exp(values.max()):.2f} times"
-    left, right, above, below = plane.letters
-    set_axes(axes, box, 1.0, text, (f"{left} → {right} (mm)", f"{below} ← {above} (mm)"))
-    planes.mark(axes, plane, box)
+    planes.set_up(axes, plane, box, text)
     return made

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable
 from typing import TypeVar
 
@@ -11,7 +10,7 @@ import numpy as np
 from supple._core.rows import STROKE_DTYPE
 from supple.engine.devices import CPU, note
 from supple.engine.work import Array, Mattes, Space, shown_mask
-from supple.errors import DeviceWarning
+from supple.errors import DeviceWarning, warn
 from supple.gpu.device import Gpu, failures, trouble
 from supple.gpu.field import fits
 from supple.gpu.raymarch import Held
@@ -21,7 +20,7 @@ from supple.gpu.solid import Filling, Volume, beside, hold, hold_strokes
 T = TypeVar("T")
 
 
-def tried(gpu: Gpu, work: Callable[[], T], stacklevel: int, says: str = "the CPU does what {} cannot") -> T | None:
+def tried(gpu: Gpu, work: Callable[[], T], says: str = "the CPU does what {} cannot") -> T | None:
     """Return the result of some work on a GPU; on failure, warn with a DeviceWarning and return None."""
     try:
         with gpu.lock:
@@ -31,7 +30,7 @@ def tried(gpu: Gpu, work: Callable[[], T], stacklevel: int, says: str = "the CPU
     except failures() as error:
         failed = trouble(gpu, error)
     note(CPU)
-    warnings.warn(f"{says.format(gpu.name)}: {failed}", DeviceWarning, stacklevel=stacklevel + 1)
+    warn(f"{says.format(gpu.name)}: {failed}", DeviceWarning)
     return None
 
 

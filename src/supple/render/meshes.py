@@ -11,8 +11,8 @@ from supple import _core
 from supple.deformation import Deformation
 from supple.gpu import raymarch as shading
 from supple.render.camera import Projection
-from supple.render.picture import linear_light
-from supple.space.checks import number, point, refuse
+from supple.render.picture import colour_of, linear_light
+from supple.space.checks import refuse, rows
 from supple.space.geometry import Floats, Geometry
 
 Ints = npt.NDArray[np.int32]
@@ -57,12 +57,7 @@ class Surface:
         lines: npt.ArrayLike = (),
         colour: tuple[float, ...] = (0.8, 0.8, 0.8),
     ) -> None:
-        try:
-            points = np.ascontiguousarray(points, np.float64)
-        except (TypeError, ValueError):
-            refuse("points", "finite numbers of shape (N, 3)", told=repr(points)[:60])
-        if points.ndim != 2 or points.shape[1] != 3 or not np.isfinite(points).all():
-            refuse("points", "finite numbers of shape (N, 3)", told=f"an array of shape {points.shape}")
+        points = np.ascontiguousarray(rows("points", points, 3))
         object.__setattr__(self, "points", points)
         for name, joined, corners in (("triangles", triangles, 3), ("lines", lines, 2)):
             given = np.asarray(joined)
@@ -75,10 +70,7 @@ class Surface:
                 found = f"{given.min()} to {given.max()}"
                 refuse(name, f"indices of points from 0 to {len(points) - 1}", told=found)
             object.__setattr__(self, name, np.ascontiguousarray(given, np.int32))
-        red, green, blue = (
-            number("colour", value, "three numbers from 0 to 1", 0.0, 1.0) for value in point("colour", colour, (3,))
-        )
-        object.__setattr__(self, "colour", (red, green, blue))
+        object.__setattr__(self, "colour", colour_of("colour", colour))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from supple.space.checks import refuse
+from supple.space.checks import number, point, refuse
 from supple.space.geometry import Floats
 
 _WEIGHTS = np.array([0.2126, 0.7152, 0.0722])  # of BT.709
@@ -52,6 +52,12 @@ def luminance_and_colours(given: npt.NDArray[Any]) -> tuple[npt.NDArray[Any], np
         out[..., : slab.shape[-1]] = np.rint(slab * np.float32(white)) if slab.dtype.kind == "f" else slab
         grey[...] = np.rint((out[..., :3] @ _WEIGHTS) * (out[..., 3] / white))
     return luminance, made
+
+
+def colour_of(name: str, value: object) -> tuple[float, float, float]:
+    """Return an sRGB colour; SuppleError unless it is three numbers from 0 to 1."""
+    red, green, blue = (number(name, v, "three numbers from 0 to 1", 0.0, 1.0) for v in point(name, value, (3,)))
+    return red, green, blue
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)

@@ -38,7 +38,7 @@ from supple.render.camera import Camera, Projection, camera_of, view_of
 from supple.render.device import held_scene, tried
 from supple.render.labels import LabelColours
 from supple.render.meshes import Surface, nearest, place
-from supple.render.picture import Pick, Rendering, linear_light
+from supple.render.picture import Pick, Rendering, colour_of, linear_light
 from supple.render.shadows import NEAR, Shade, arriving, shade_of
 from supple.render.transfer import Transfer
 from supple.space.checks import choice, integer, number, point, refuse
@@ -213,7 +213,7 @@ class Scene:
         if gpu is not None:
             rest = labelled, self._paint, volume if volume is not None and volume.gpu is gpu else None
             work = gpu, self._original, spacing, space, self.mode, self.tolerance, *rest
-            self._held = tried(gpu, lambda: held_scene(*work), 3)
+            self._held = tried(gpu, lambda: held_scene(*work))
         held = self._held
         self.gpu = held.volume.gpu if held is not None else None
         self.samples, self.error, self.coarse = self._original, 0.0, 1
@@ -341,7 +341,6 @@ class Scene:
                 lambda: shading.march(
                     held, self._look(view, copied) if (copied := held.filled()) else look, (height, width), fine, ends
                 ),
-                2,
                 "the CPU did what {} could not",
             )
         if done is not None:
@@ -403,11 +402,7 @@ class Scene:
         if texture.format != "rgba8unorm" or not texture.usage & _STORAGE or rows > height or columns > width:
             wanted = f"rgba8unorm, of usage STORAGE_BINDING and {columns} x {rows} pixels or more"
             refuse("texture", wanted, told=f"{texture.format} of {width} x {height}")
-        colour = tuple(
-            number("background", c, "three numbers from 0 to 1", 0.0, 1.0)
-            for c in point("background", background, (3,))
-        )
-        behind = linear_light(colour).astype(np.float32)
+        behind = linear_light(colour_of("background", background)).astype(np.float32)
         try:
             with gpu.lock:
                 look = self._look(view, held.filled())
@@ -445,7 +440,6 @@ class Scene:
         done = tried(
             held.volume.gpu,
             lambda: filling.advance(seconds),
-            2,
             "the CPU does what {} cannot" if held.whole else "{} does not go on with the buffer",
         )
         if done is None:

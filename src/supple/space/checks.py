@@ -9,6 +9,7 @@ from numbers import Real
 from typing import Any, NoReturn, SupportsIndex
 
 import numpy as np
+import numpy.typing as npt
 
 from supple.errors import SuppleError, argument, none
 
@@ -108,6 +109,22 @@ def point(name: str, value: object, lengths: Shape = (2, 3)) -> Vector:
     return tuple(number(f"{name}[{i}]", x, wanted, -LARGEST, LARGEST) for i, x in enumerate(numbers))
 
 
+def rows(name: str, value: npt.ArrayLike, columns: int) -> npt.NDArray[np.float64]:
+    """Return rows of so many finite numbers, (N, columns), as floats; SuppleError for other values."""
+    wanted = f"finite numbers of shape (N, {columns})"
+    try:
+        given = np.asarray(value, np.float64)
+    except (TypeError, ValueError):
+        refuse(name, wanted, value)
+    if given.size == 0:
+        given = given.reshape(0, columns)
+    if given.ndim != 2 or given.shape[1] != columns:
+        refuse(name, wanted, told=f"shape {given.shape}")
+    if not np.isfinite(given).all():
+        refuse(name, wanted, told="some that are not finite")
+    return given
+
+
 def choice(name: str, value: object, choices: tuple[str, ...]) -> None:
     """Raise SuppleError unless ``value`` is one of ``choices``."""
     if not isinstance(value, str) or value not in choices:
@@ -128,12 +145,15 @@ def colours_hint(shape: Shape) -> str:
     return f" (if the last axis of {shape} is colours, make the deformation with shape[:2])"
 
 
+def checked_sizes(name: str, value: object, wanted: str, lengths: Shape) -> Shape:
+    """Return ``value`` as numbers of samples along axes, of one of ``lengths``; SuppleError for other values."""
+    sizes, within = items(name, value, wanted, lengths), f"an integer from 1 to {LONGEST_AXIS}"
+    return tuple(integer(f"{name}[{i}]", size, within, 1, LONGEST_AXIS) for i, size in enumerate(sizes))
+
+
 def checked_shape(shape: object) -> Shape:
     """Return ``shape`` as two or three sizes; SuppleError for other values."""
-    wanted = "two or three sizes, (H, W), (T, H, W) or (Z, H, W)"
-    sizes = items("shape", shape, wanted, (2, 3))
-    within = f"an integer from 1 to {LONGEST_AXIS}"
-    return tuple(integer(f"shape[{i}]", size, within, 1, LONGEST_AXIS) for i, size in enumerate(sizes))
+    return checked_sizes("shape", shape, "two or three sizes, (H, W), (T, H, W) or (Z, H, W)", (2, 3))
 
 
 def checked_spacing(spacing: object, ndim: int) -> Vector:

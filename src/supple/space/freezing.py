@@ -15,11 +15,11 @@ import numpy.typing as npt
 
 from supple.errors import SuppleError, shown
 from supple.space.checks import (
-    LONGEST_AXIS,
     Shape,
     Vector,
     assign,
     checked_shape,
+    checked_sizes,
     integer,
     items,
     length,
@@ -82,7 +82,7 @@ class Freeze:
     name: str = field(default="", compare=False, repr=False)
 
     def __post_init__(self) -> None:
-        wanted, within = f"1 or an integer from {_LEAST} on", f"an integer from 1 to {LONGEST_AXIS}"
+        wanted = f"1 or an integer from {_LEAST} on"
         given = items("freeze size", self.size, "two or three numbers, x first", (2, 3))
         sizes = tuple(integer("freeze size", n, wanted, 1, 2**20) for n in given)
         if any(1 < n < _LEAST for n in sizes):
@@ -91,10 +91,7 @@ class Freeze:
         assign(
             self,
             size=sizes,
-            samples=tuple(
-                integer("freeze samples", k, within, 1, LONGEST_AXIS)
-                for k in items("freeze samples", self.samples, each, one)
-            ),
+            samples=checked_sizes("freeze samples", self.samples, each, one),
             first=point("freeze first", self.first, one),
             step=tuple(length("freeze step", x) for x in items("freeze step", self.step, each, one)),
             place=point("freeze place", self.place, (0, 12)),

@@ -111,7 +111,8 @@ class Straighten:
                 extent = shape * (extent / shape).max()
         crops, step = self.fit == "crop", 1.0
         if len(wanted):
-            size = wanted if len(wanted) == 2 else np.maximum(np.rint(wanted[0] * extent / extent[0]), 1.0)
+            sides = np.floor(wanted[0] * extent / extent[0] + (0.5 + _ROUNDING))  # halves upwards
+            size = wanted if len(wanted) == 2 else np.maximum(sides, 1.0)
             step = float((extent / size).min() if crops else (extent / size).max())
         else:
             size = np.maximum(np.floor(extent + _ROUNDING) if crops else np.ceil(extent - _ROUNDING), 1.0)

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any, Literal, Self, get_args
 
-from supple.errors import ScaleWarning, SuppleError, argument
-from supple.space.checks import LONGEST_AXIS, Shape, assign, choice, integer, items, length, listed, number, refuse
+from supple.errors import ScaleWarning, SuppleError, argument, warn
+from supple.space.checks import Shape, assign, checked_sizes, choice, length, listed, number, refuse
 from supple.space.domain import Border, BorderProfile, check_border_profile, checked_border
 from supple.space.freezing import Freeze
 from supple.space.straighten import Straighten
@@ -217,16 +216,13 @@ def fit_recipe(recipe: Recipe, size: Sequence[int], how: Fit | None, name: str, 
     """Return a recipe scaled to a file's size by `Recipe.fitted`, and warn if ``how`` is not given."""
     made = recipe.fitted(size, how, time=time, name=name)
     if how is None and recipe.size is not None and made.strokes != recipe.strokes:
-        warnings.warn(
+        warn(
             f"the recipe was made for {spoken(recipe.size)}, and is scaled for {name}, which is {spoken(size)}",
             ScaleWarning,
-            stacklevel=4,
         )
     return made
 
 
 def _checked_size(size: object, ndim: int | None) -> Shape:
     lengths = (2, 3) if ndim is None else (ndim,)
-    sizes = items("size", size, f"{' or '.join(map(str, lengths))} numbers of samples, x first", lengths)
-    wanted = f"a whole number from 1 to {LONGEST_AXIS}"
-    return tuple(integer(f"size[{i}]", n, wanted, 1, LONGEST_AXIS) for i, n in enumerate(sizes))
+    return checked_sizes("size", size, f"{' or '.join(map(str, lengths))} numbers of samples, x first", lengths)

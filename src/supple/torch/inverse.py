@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -10,7 +9,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from supple.errors import FoldWarning, OutsideWarning, ToleranceWarning
+from supple.errors import FoldWarning, OutsideWarning, ToleranceWarning, warn
 from supple.fields import FOLDED, OK, OUTSIDE, STATUS, UNCONVERGED, Beyond, Field, Interpolation
 from supple.space.checks import checked_spacing, refuse
 from supple.space.splines import coefficients
@@ -126,7 +125,7 @@ def _warn(inverted: Inverted, beyond: Beyond) -> None:
     each = ", ".join(f"{count} {STATUS[code]}" for code, count in lost.items() if count)
     if each:
         text = f"gradients are zero at {sum(lost.values())} of {inverted.status.numel()} samples of the inverse: {each}"
-        warnings.warn(text, next(kinds[code] for code, count in lost.items() if count), stacklevel=3)
+        warn(text, next(kinds[code] for code, count in lost.items() if count))
 
 
 class _Inverse(torch.autograd.Function):

@@ -12,7 +12,6 @@ rotation by the angle A(s). Strokes that act at once are evaluated at the same p
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -23,7 +22,7 @@ import torch
 
 from supple.deformation import Deformation, reduced
 from supple.engine.work import Mask, refuse_mattes, shown_mask
-from supple.errors import FoldWarning, MissWarning, SuppleError, caller
+from supple.errors import FoldWarning, MissWarning, SuppleError, warn
 from supple.space.checks import refuse
 from supple.space.domain import PROFILE_CODES
 from supple.strokes import pack
@@ -254,5 +253,5 @@ def _rebuilt(d: Deformation, given: Given) -> Deformation:
             raise type(error)(f"stroke {i + 1} of {len(d.strokes)}: {error}") from None
     for text, part in zip(result.warnings, result.resolution()["damping"], strict=True):
         if text:
-            warnings.warn(text, FoldWarning if part < 1 else MissWarning, stacklevel=caller())
+            warn(text, FoldWarning if part < 1 else MissWarning)
     return result

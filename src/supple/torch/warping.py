@@ -9,7 +9,6 @@ the solver was: for a loss L of these points, T(p; θ) = q gives, at fixed p,
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Any, Unpack
@@ -23,7 +22,7 @@ from supple.deformation import Deformation, place_of
 from supple.engine import core
 from supple.engine.sampling import Certificate, Sampling, SamplingFields, warn_of
 from supple.engine.work import Space
-from supple.errors import SuppleError, ToleranceWarning, caller
+from supple.errors import SuppleError, ToleranceWarning, warn
 from supple.space.checks import refuse
 from supple.torch.strokes import Given, Strokes, items, strokes_of
 from supple.torch.taps import Taps, adjoint, around, count
@@ -207,7 +206,7 @@ def _values(tensor: torch.Tensor, space: Space, sampling: Sampling) -> torch.Ten
     if not tensor.is_cuda:
         source = np.ascontiguousarray(source.numpy(force=True))
     result, certificate = warp_array(source, space, sampling, alpha=False)
-    warn_of(certificate, sampling.tolerance, caller() + 1)
+    warn_of(certificate, sampling.tolerance)
     return torch.as_tensor(result).movedim(-1, 0).contiguous().to(tensor)
 
 
@@ -228,12 +227,12 @@ def offsets_of(like: torch.Tensor, space: Space, tolerance: float) -> torch.Tens
         from supple.cuda.points import inverse_map
 
         offsets, certificate = inverse_map(space, tolerance, like.detach(), offsets=True)
-        warn_of(certificate, tolerance, caller() + 1)
+        warn_of(certificate, tolerance)
         return torch.as_tensor(offsets).reshape(total, space.ndim).T
     pixels = _pixels(torch.arange(total, device=like.device if like.is_cuda else "cpu"), space)
     if dtype == torch.float32:
         points, certificate = core.inverse_map(space, tolerance, dtype=np.float64)
-        warn_of(certificate, tolerance, caller() + 1)
+        warn_of(certificate, tolerance)
         solved = [torch.as_tensor(points).reshape(total, space.ndim)]
     else:
         certificate, lost, solved = Certificate(0.0, 0.0), total, []
@@ -242,10 +241,10 @@ def offsets_of(like: torch.Tensor, space: Space, tolerance: float) -> torch.Tens
             certificate |= own
             lost -= int(converged.sum())
             solved.append(torch.as_tensor(points))
-        warn_of(certificate, 1.0, caller() + 1)
+        warn_of(certificate, 1.0)
         if lost:
             text = f"{lost} of {total} source points did not converge: what is shown there is a guess"
-            warnings.warn(text, ToleranceWarning, stacklevel=caller())
+            warn(text, ToleranceWarning)
     offsets = torch.cat(solved).T - pixels
     return offsets.to(dtype).to(like.device)  # not every device has float64
 

@@ -24,7 +24,7 @@ struct Samples {
 };
 
 // The results of a map's checks: the largest error, as the bits of a float, and counts.
-struct Told {
+struct Checks {
     int worst, rough, unsolved, folded, outside;
 };
 
@@ -70,7 +70,7 @@ struct Job {
     const int *xs, *ys;  // the nodes, in pixels
     void *nodes, *leaves;
     int *states, *rough;  // of each cell; the list of rough cells
-    Told* told;
+    Checks* checks;
     Samples source, out;
     const double* fill;  // of each channel
     uint64_t top;        // the largest value of integers, equal to `high`

@@ -13,7 +13,7 @@ constexpr double CLOSE_ENOUGH = 0.01;  // of the tolerance: the last step of a p
 template <int D>
 INLINE void solve_node(const Job& job) {
     const int64_t i = thread(), each = (int64_t)job.nx * job.ny;
-    if (i == 0) job.told->rough = 0;  // for the next kernel to count
+    if (i == 0) job.checks->rough = 0;  // for the next kernel to count
     const int first = (int)(i / each + job.first / RUN<D>)*RUN<D> - job.first;
     const int j = (int)(i % each / job.nx), k = (int)(i % job.nx);
     Solved<D, double> found{};
@@ -104,7 +104,7 @@ INLINE void check_cell(const Job& job) {
     const double x0 = job.xs[k], y0 = job.ys[j], w = job.xs[k + 1] - x0, h = job.ys[j + 1] - y0;
     const double z = depth_of(job, plane);
     auto rough = [&] {
-        const int at = atomicAdd(&job.told->rough, 1);
+        const int at = atomicAdd(&job.checks->rough, 1);
         job.rough[at] = (int)i;
         job.states[i] = at;
     };
@@ -188,7 +188,7 @@ INLINE void check_cell(const Job& job) {
         bilinear_of(v, w, h, depth);
         for (int n = 0; n < 4; n++) leaf[L::DEPTH + n] = depth[n];
     }
-    atomicMax(&job.told->worst, __float_as_int((float)(most(reserve * worst, (double)rounding) * (1 + 1e-6))));
+    atomicMax(&job.checks->worst, __float_as_int((float)(most(reserve * worst, (double)rounding) * (1 + 1e-6))));
 }
 
 // Solve the source point of a pixel of a rough cell.
@@ -204,16 +204,17 @@ NOINLINE void solve_pixel(const Job& job, int plane, int x, int y, Point<D>& poi
     Solution<D, double>& found = solution.at;
     if (composed(map)) {
         const Passed<double> passed = solve_composite<D, false>(*map.composite, q, solution);
-        if (!passed.upright) atomicAdd(&job.told->folded, 1);
-        if (!passed.within) atomicAdd(&job.told->outside, 1);
+        if (!passed.upright) atomicAdd(&job.checks->folded, 1);
+        if (!passed.within) atomicAdd(&job.checks->outside, 1);
     } else {
         const double finest = finest_of<D>(map.axes), close = CLOSE_ENOUGH * least(job.tolerance, 1.0);
         for (int d = 0; d < D; d++) found.p[d] = q[d];
         newton<D>(map.chain, map.axes, q, close * finest, 10, found, STEEP * close * finest);
         if (!found.done) undo<D>(map.chain, map.axes, q, close * finest, found);
-        if (job.told->worst < __float_as_int((float)close)) atomicMax(&job.told->worst, __float_as_int((float)close));
+        if (job.checks->worst < __float_as_int((float)close))
+            atomicMax(&job.checks->worst, __float_as_int((float)close));
     }
-    if (!found.done) atomicAdd(&job.told->unsolved, 1);
+    if (!found.done) atomicAdd(&job.checks->unsolved, 1);
     for (int d = 0; d < D; d++) {
         double p = within(found.p[d] / map.axes[d].spacing, -1e9, 1e9);
         if (!found.done) p = within(p, at[d] - FAR, at[d] + FAR);  // unsolved points must not require all frames

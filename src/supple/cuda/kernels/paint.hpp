@@ -454,7 +454,7 @@ INLINE void fill_column(const Job& job) {
 template <class T, class N, int C, int FILTER, int D>
 INLINE void fill_rough(const Job& job) {
     const int wide = job.nx - 1, tall = job.ny - 1;
-    for (int n = blockIdx.x; n < job.told->rough; n += gridDim.x) {
+    for (int n = blockIdx.x; n < job.checks->rough; n += gridDim.x) {
         const int cell = job.rough[n], own = cell / (wide * tall), j = cell / wide % tall, k = cell % wide;
         const int left = job.xs[k], right = k == wide - 1 ? job.from_x + job.width : job.xs[k + 1];
         const int top = job.ys[j], bottom = j == tall - 1 ? job.from_y + job.height : job.ys[j + 1];

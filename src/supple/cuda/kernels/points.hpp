@@ -11,7 +11,7 @@ struct Some {
     double *to, *matrices, *residual;  // (count, D), (count, D, D) or null, (count,) or null
     int64_t* steps;
     uint8_t* done;
-    Told* told;
+    Checks* checks;
     int64_t count;
     double tolerance;  // of the residual, in the units of the map
     int wide, back;    // whether points are doubles; whether to apply T⁻¹
@@ -49,9 +49,9 @@ INLINE void move_point(const Some& job) {
         job.steps[i] = (int64_t)passed.steps;
         job.done[i] = passed.done && job.residual[i] <= most(job.tolerance, 1e-14 * size / finest);
     }
-    if (!passed.done) atomicAdd(&job.told->unsolved, 1);
-    if (!passed.upright) atomicAdd(&job.told->folded, 1);
-    if (!passed.within) atomicAdd(&job.told->outside, 1);
+    if (!passed.done) atomicAdd(&job.checks->unsolved, 1);
+    if (!passed.upright) atomicAdd(&job.checks->folded, 1);
+    if (!passed.within) atomicAdd(&job.checks->outside, 1);
     for (int d = 0; d < D; d++) {
         job.to[i * D + d] =
             jet.x[d] == q[d] ? from[d] : jet.x[d] / map.axes[d].spacing;  // unmoved coordinates keep their bits
