@@ -198,7 +198,7 @@ def test_compositions_warn_of_folds_and_of_what_is_outside() -> None:
     places = np.interp(np.arange(40.0), [0, 15, 20, 39], [0, 22, 12, 39])
     folded, away = along_x(places), along_x(np.arange(20.0) + 6)
     with pytest.warns(
-        FoldWarning, match=r"^u\.nii folds in 15 of its 117 cells: where they are mapped to, the"
+        FoldWarning, match=r"^u\.nii folds in 15 of its 117 cells: where folds are mapped to, the"
     ) as told:
         compose([Placed(folded, True, name="u.nii")], Grid((4, 40)))
     assert len(told) == 1

@@ -441,3 +441,20 @@ def test_points_of_another_shape_are_refused() -> None:
     p = plan(Deformation((40, 60)).grab((30, 20), by=(3, 2), radius=10))
     with pytest.raises(ValueError, match="the shape of the plane"):
         p.points(np.empty((40, 59, 2)))
+
+
+@pytest.mark.parametrize(
+    ("shape", "at", "to", "radius"),
+    [
+        ((380, 324), (369.4, 51.6), (132.0, 101.5), 4.9),
+        ((643, 664), (264.1, 650.9), (546.4, 95.3), 8.7),
+        ((571, 518), (441.6, 357.8), (197.2, 31.8), 7.1),
+        ((300, 451), (100.0, 100.0), (445.0, 290.0), 5.0),
+    ],
+)
+def test_powers_of_a_single_pixel_do_not_count_where_it_has_no_sample(
+    shape: tuple[int, int], at: tuple[float, float], to: tuple[float, float], radius: float
+) -> None:
+    p = plan(Deformation(shape[::-1] if at[0] >= shape[1] else shape).grab(at, to=to, radius=radius), 0.01)
+    measured, unknown = p.measure(1e-5)
+    assert measured <= p.checks[0] <= 0.01 * UNSEEN and not unknown

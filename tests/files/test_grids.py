@@ -153,10 +153,10 @@ class TestMapsOnFiles:
         values[:, :, 8:] = -6.0 * np.array(grid.direction)[:, 0]
         placed = Placed(Field(values, grid), True, name="u.nii")
         said = (
-            r"^u\.nii folds in [\d,]+ of its 3,315 cells: where they are mapped to, the inverse is one of several "
-            r"points; (\d+ of the points solved lie where a Jacobian determinant is not above 0(, and )?)?"
-            r"(for \d+ (points )?no solution was found)?; what is shown there is one of several points(, or a guess)? "
-            r"\(supple check shows where\)$"
+            r"^u\.nii folds in [\d,]+ of its 3,315 cells: where folds are mapped to, the inverse is one of several points"
+            r"(; \d+ of the points shown lie in a part that is turned over)?"
+            r"(; for \d+ points no solution was found, and a guess is shown)? "
+            r"\(the statuses of supple invert show where\)$"
         )
         options = VolumeOptions(save_field="field.mha")  # of the same map: it is not told of twice
         with warnings.catch_warnings(record=True) as caught:

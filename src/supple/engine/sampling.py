@@ -217,19 +217,13 @@ def warn_of(
     ``folds`` names the inverted fields that fold, if any, so that all folds are in one warning. ``field_name`` is the
     name of the field, if there is only one. ``stacklevel`` has no effect.
     """
-    told = [f"{folds}: where they are mapped to, the inverse is one of several points"] if folds else []
-    if certificate.unknown or certificate.folded:
-        found, whose = [], "a" if folds else "its"
+    if folds or certificate.unknown or certificate.folded:
+        told = [f"{folds or f'{field_name} folds'}: where folds are mapped to, the inverse is one of several points"]
         if certificate.folded:
-            found.append(
-                f"{certificate.folded} of the points solved lie where {whose} Jacobian determinant is not above 0"
-            )
+            told.append(f"{certificate.folded} of the points shown lie in a part that is turned over")
         if certificate.unknown:
-            found.append(f"for {certificate.unknown} {'' if found else 'points '}no solution was found")
-        told.append(f"{'' if folds else f'{field_name} folds: '}{', and '.join(found)}")
-        told.append(f"what is shown there is one of several points{', or a guess' if certificate.unknown else ''}")
-    if told:
-        warn(f"{'; '.join(told)} (supple check shows where)", FoldWarning)
+            told.append(f"for {certificate.unknown} points no solution was found, and a guess is shown")
+        warn(f"{'; '.join(told)} (the statuses of supple invert show where)", FoldWarning)
     if certificate.outside:
         warn(
             f"to {certificate.outside} of the points solved, no point of a field's grid is mapped: what is shown there "
@@ -239,6 +233,6 @@ def warn_of(
     if not certificate.unknown and not certificate.error <= 1.01 * tolerance + FINEST:
         warn(
             f"the map may be off by {certificate.error:.2g} {unit} somewhere, more than the tolerance {tolerance:g}: "
-            "use a larger radius, a shorter drag or a larger tolerance",
+            f"use a larger radius or a shorter drag{', or a larger tolerance' if certificate.error < 1 else ''}",
             ToleranceWarning,
         )

@@ -99,6 +99,8 @@ class Field:
     ) -> Self:
         """Return a field of an array; see `Field` and `Grid` for the parameters."""
         given = _array(values)
+        if given.ndim not in (3, 4) or given.shape[-1] != given.ndim - 1:  # perhaps with the coordinates first
+            refuse("values", "an array of shape (H, W, 2) or (Z, H, W, 3), x first", told=f"shape {given.shape}")
         return cls(given, Grid(given.shape[:-1], spacing, origin, direction), interpolation, beyond)
 
     @property

@@ -68,7 +68,10 @@ class Job:
     running: Running = field(default_factory=Running)
 
     def __post_init__(self) -> None:
-        given: object = self.maps  # user input of any type
+        recipe: object = self.recipe  # user input of any type
+        if not isinstance(recipe, Recipe):
+            refuse("recipe", "a Recipe (that of a Deformation d is d.recipe)", recipe)
+        given: object = self.maps
         if not isinstance(given, Sequence) or not all(isinstance(each, Placed) for each in given):
             refuse("maps", "a sequence of Placed", given)
         if self.grid is not None and not isinstance(self.grid, GridOptions):

@@ -63,6 +63,7 @@ NEAR = 0.5
 """The distance from its target, in samples, within which a stroke's point has arrived."""
 
 _HIT = 1e-6  # samples: the accuracy with which handles of a pull arrive
+_MEETING = 0.01  # of the first distance of two handles, where they meet on their ways
 _ALONG = 1e-9  # of the radius: the rounding error of a drag along a face
 
 
@@ -523,4 +524,6 @@ def _conflict(stroke: Stroke, start: Floats, goal: Floats, domain: Domain) -> st
         why = "what is frozen is in the way" if frozen else "the radius is too small for so long a drag"
         return f"{why}; use a larger radius, or other targets"
     one, other = (f"{_handle(stroke, k, domain)}, dragged by {spelled(stroke.handles[k][1])}" for k in (int(i), int(j)))
+    if ways[0][i, j] < _MEETING * math.dist(start[i], start[j]):  # no radius helps
+        return f"{one}, and {other}, meet on their straight ways; use other targets, or two strokes, one after the other"
     return f"{one}, and {other}, pull against each other; use a larger radius, or other targets"
