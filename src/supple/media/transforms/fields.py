@@ -12,19 +12,18 @@ import re
 import struct
 import warnings
 from collections.abc import Iterator, Sequence
-from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
 from supple.engine.work import Array
 from supple.errors import VolumeWarning, shown
-from supple.media.files import PathLike, head_of, replacing, unreadable, unwritable
+from supple.media.files import PathLike, head_of, unreadable, unwritable
 from supple.media.transforms import base
 from supple.media.transforms.affines import spelled
 from supple.media.volume import mgh, nifti
 from supple.media.volume.data import Volume, native, reading
-from supple.space.geometry import Grid
+from supple.space.geometry import Geometry, Grid
 
 VECTOR = 1007
 """NIfTI's intent code of a vector in each voxel."""
@@ -115,8 +114,7 @@ def write(
     if suffix not in NIFTI:
         raise unwritable(path, f"fields of this convention are NIfTI files, found the suffix {suffix}", "use .nii.gz")
     values = _converted(field.values, field.grid, kind, source, back=True)
-    with replacing(path, force=force) as temporary:
-        write_nifti(path, temporary, values, field.grid.matrix, kind)
+    write_nifti(path, values, field.grid.geometry("LPS"), kind, force=force)
 
 
 def _converted(values: Array, grid: Grid, kind: Vectors, source: Grid, *, back: bool = False) -> Array:
@@ -145,21 +143,15 @@ def _converted(values: Array, grid: Grid, kind: Vectors, source: Grid, *, back: 
     return made
 
 
-def write_nifti(path: PathLike, temporary: Path, values: Array, matrix: base.Matrix, kind: Vectors) -> None:
-    """Write vectors (Z, H, W, 3) as NIfTI to a temporary file; ``matrix`` leads from indices to LPS."""
+def write_nifti(path: PathLike, values: Array, geometry: Geometry, kind: Vectors, *, force: bool = False) -> None:
+    """Write vectors (Z, H, W, 3) as NIfTI."""
     if max(values.shape) > nifti.LONGEST:
         sizes = " x ".join(map(str, values.shape[2::-1]))
         what = f"NIfTI ends at {nifti.LONGEST} voxels on a side, and the field has {sizes}"
         raise unwritable(path, what, "write .nrrd or .mha" if kind is VECTORS["itk"] else "write a smaller field")
-    nibabel = nifti.imported()
-    affine, shaped = base.LPS @ matrix, values.transpose(2, 1, 0, 3)
-    image = nibabel.Nifti1Image(shaped if kind.axes == 4 else shaped[:, :, :, None], affine)
-    image.set_sform(affine, code=1)
-    image.set_qform(affine, code=1)
-    image.header["intent_code"], image.header["intent_name"] = kind.intent, kind.name.encode()
-    image.header.set_xyzt_units("mm")
-    with nifti.writing(temporary, str(path)) as file:
-        image.to_file_map({"image": nibabel.FileHolder(fileobj=file)})
+    samples = np.moveaxis(values, -1, 0) if kind.axes == 4 else values
+    like = Volume(samples, geometry, series=kind.axes == 4)
+    nifti.write(path, samples, like, intent=(kind.intent, kind.name), force=force)
 
 
 def announced(path: PathLike, header: Any) -> str:

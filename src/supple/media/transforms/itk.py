@@ -17,10 +17,9 @@ import numpy.typing as npt
 from supple.errors import SuppleError, shown
 from supple.media.files import PathLike, check_suffix, head_of, replacing, unreadable, unwritable
 from supple.media.transforms import base
-from supple.media.transforms.affines import spelled
 from supple.media.transforms.fields import NIFTI, VECTOR, VECTORS, check_header, write_nifti
 from supple.media.volume import itk, nifti
-from supple.media.volume.data import reading
+from supple.media.volume.data import Volume, reading
 from supple.space.checks import library_of, refuse
 from supple.space.geometry import Geometry, Grid
 
@@ -32,7 +31,6 @@ _OUT = tuple(dict.fromkeys((*SUFFIXES_OUT, *TRANSFORMS)))
 _NONE = "is of no transform of ITK"
 _OVERHEAD = 1 << 16  # bytes: more than a transform's HDF5 file without the field
 _CHUNK = 1 << 20
-_TYPES = {np.dtype(np.float32): ("float", "MET_FLOAT"), np.dtype(np.float64): ("double", "MET_DOUBLE")}
 DISPLACEMENT = 1006
 _KIND = re.compile(rb"Transform(?:Base)?_(?:double|float)_\d_\d")
 _FLOWS = (b"VelocityFieldTransform_", b"ExponentialDiffeomorphicTransform_")
@@ -249,51 +247,23 @@ def write_field(
     """Write a displacement field (Z, H, W, 3) for resampling a volume onto the field's grid by ITK, ANTs and 3D Slicer.
 
     Each voxel of the output holds the displacement to its source point in the input, in float32 or float64, in
-    millimetres along the axes of LPS, x first, for any convention of ``geometry``. The array is read plane by plane,
-    or component by component for NIfTI (intent 1007, as from ANTs). ``.nrrd`` and ``.mha`` are vector images, ``.h5``
+    millimetres along the axes of LPS, x first, for any convention of ``geometry``. For NIfTI (intent 1007, as from
+    ANTs), the array is read component by component. ``.nrrd`` and ``.mha`` are vector images, ``.h5``
     an ITK transform, in float64. SuppleError if the array has another shape or dtype, holds NaN or infinity, or is too
     large for the format; or if the file cannot be written.
     """
     check_target(path)
     name, suffix = shown(path), base.suffix_of(path, SUFFIXES_OUT)
     field = np.asarray(displacement)
-    if field.ndim != 4 or field.shape[3] != 3 or 0 in field.shape or field.dtype not in _TYPES:
+    if field.ndim != 4 or field.shape[3] != 3 or 0 in field.shape or field.dtype not in (np.float32, np.float64):
         wanted = "an array of shape (Z, H, W, 3) in float32 or float64"
         raise SuppleError(f"cannot write {name}: a field is {wanted}, and not {field.dtype} of shape {field.shape}")
     if not all(np.isfinite(plane).all() for plane in field):
         raise SuppleError(f"cannot write {name}: a field must be finite, found NaN or infinity")
-    with replacing(path, force=force) as temporary:
-        if suffix == ".h5":
+    if suffix == ".h5":
+        with replacing(path, force=force) as temporary:
             _write_transform(path, temporary, _field_transform(field, geometry), 8 * field.size)
-        elif suffix in NIFTI:
-            write_nifti(path, temporary, field, geometry.matrix, VECTORS["itk"])
-        else:
-            with open(temporary, "wb") as file:
-                file.write((_nrrd if suffix == ".nrrd" else _mha)(field, geometry).encode())
-                for plane in field:
-                    file.write(np.ascontiguousarray(plane, plane.dtype.newbyteorder("<")).data)
-
-
-# Kept: SimpleITK copies a field before writing it, and does not notice a full disk when it writes a NRRD
-# (test_a_full_disk_leaves_what_was_there_and_no_word_of_itks).
-
-
-def _nrrd(field: npt.NDArray[Any], geometry: Geometry) -> str:
-    first, *axes = (
-        f"({spelled(numbers).replace(' ', ',')})" for numbers in (geometry.origin, *geometry.matrix[:3, :3].T)
-    )
-    return (
-        f"NRRD0004\ntype: {_TYPES[field.dtype][0]}\ndimension: 4\nspace: left-posterior-superior\n"
-        f"sizes: 3 {' '.join(map(str, field.shape[2::-1]))}\nspace directions: none {' '.join(axes)}\n"
-        f"kinds: vector domain domain domain\nendian: little\nencoding: raw\nspace origin: {first}\n\n"
-    )
-
-
-def _mha(field: npt.NDArray[Any], geometry: Geometry) -> str:
-    return (
-        "ObjectType = Image\nNDims = 3\nBinaryData = True\nBinaryDataByteOrderMSB = False\nCompressedData = False\n"
-        f"TransformMatrix = {spelled(geometry.direction.T)}\nOffset = {spelled(geometry.origin)}\n"
-        f"CenterOfRotation = 0 0 0\nElementSpacing = {spelled(geometry.spacing)}\n"
-        f"DimSize = {' '.join(map(str, field.shape[2::-1]))}\nElementNumberOfChannels = 3\n"
-        f"ElementType = {_TYPES[field.dtype][1]}\nElementDataFile = LOCAL\n"
-    )
+    elif suffix in NIFTI:
+        write_nifti(path, field, geometry, VECTORS["itk"], force=force)
+    else:
+        itk.write(path, field, Volume(field, geometry), force=force)

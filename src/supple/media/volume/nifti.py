@@ -283,12 +283,17 @@ def _scaling(path: PathLike, header: Any) -> tuple[float, float]:
     return slope, intercept
 
 
-def write(path: PathLike, samples: Array, like: Volume, *, force: bool = False) -> None:
+def write(
+    path: PathLike, samples: Array, like: Volume, *, intent: tuple[int, str] | None = None, force: bool = False
+) -> None:
     """Write a NIfTI file, slice by slice, compressed if its name ends in ``.gz``.
 
-    A volume from NIfTI keeps its header and its byte order; others get their geometry as sform and qform.
+    A volume from NIfTI keeps its header and its byte order; others get their geometry as sform and qform. ``intent`` is
+    the code and the name of the intent, if they are not those of a volume.
     """
     header = _copied(samples, like) or _made(samples, like)
+    if intent is not None:
+        header["intent_code"], header["intent_name"] = intent[0], intent[1].encode()
     colours = int(header["datatype"]) in _COLOURS
     stored = samples if colours or samples.ndim == 3 or like.series else np.moveaxis(samples, -1, 0)
     dtype = samples.dtype.newbyteorder(header.endianness)
