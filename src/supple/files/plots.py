@@ -116,7 +116,6 @@ def plot_file(
                 text = f"{argument('frame')} is for the pictures of one frame, and {what} shows many: leave it out"
                 raise SuppleError(text)
             before = [] if what in WHATS else [rgb[line].copy() for rgb in _shown(clip, planes)]
-        with clips.open_clip(source, rate=options.rate, count=clip.count) as clip:
             work = clips.work_on(clip, deformations, clips.sampling_of(clip, clips.between_frames(Sampling(), options)))
             after = []
             for _, arrays, _ in clips.streamed(clip, work, make_plan(work, planes), options.memory):

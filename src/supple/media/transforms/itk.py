@@ -266,4 +266,4 @@ def write_field(
     elif suffix in NIFTI:
         write_nifti(path, field, geometry, VECTORS["itk"], force=force)
     else:
-        itk.write(path, field, Volume(field, geometry), force=force)
+        itk.write(path, field, Volume(field, geometry), packed=False, force=force)

@@ -254,11 +254,12 @@ def _reason(text: str) -> str:
     return re.sub(r"^(\[\w+\] )?(\w+: )?", "", line).rstrip(".")
 
 
-def write(path: PathLike, samples: Array, like: Volume, *, force: bool = False) -> None:
-    """Write a NRRD file, compressed, or a MetaImage file, uncompressed; the data of a .mhd go to a .raw beside it."""
+def write(path: PathLike, samples: Array, like: Volume, *, packed: bool = True, force: bool = False) -> None:
+    """Write a NRRD file, compressed if ``packed``, or a MetaImage file; the data of a .mhd go to a .raw beside it."""
     sitk = imported()
     target = check_output(path, force=force)
     suffix = target.suffix.lower()
+    packed &= suffix == ".nrrd"
     with contextlib.ExitStack() as stack:
         made = [(stack.enter_context(replacing(path, force=force)), suffix)]
         if suffix == ".mhd":
@@ -269,12 +270,12 @@ def write(path: PathLike, samples: Array, like: Volume, *, force: bool = False) 
         image = _image(sitk, samples, like, "NRRD" if suffix == ".nrrd" else "MetaImage")
         try:
             with silence():
-                sitk.WriteImage(image, os.fspath(file), useCompression=suffix == ".nrrd")
+                sitk.WriteImage(image, os.fspath(file), useCompression=packed)
         except (RuntimeError, UnicodeError) as error:
             found = re.search("Reason: (.+)", str(error))
             what = (found[1] if found else _reason(str(error))) or "ITK cannot write it"
             raise unwritable(path, what, "make room or choose another place") from error
-        if not _whole(file.with_suffix(made[-1][1]), samples.nbytes, packed=suffix == ".nrrd"):
+        if not _whole(file.with_suffix(made[-1][1]), samples.nbytes, packed=packed):
             raise OSError(errno.EIO, "a part of it was not written")  # ITK misses errors at the end of a file
         for temporary, ending in made:
             os.replace(file.with_suffix(ending), temporary)
