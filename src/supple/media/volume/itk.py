@@ -313,7 +313,8 @@ def header_of(samples: Array, like: Volume) -> dict[str, str]:
 def _whole(file: Path, nbytes: int, *, packed: bool) -> bool:
     """Return whether all voxels are in a file: gzip stores their count, modulo 2^32, at the end."""
     if not packed:
-        return file.stat().st_size >= nbytes
+        start = _fields(file, "NRRD")[1] if file.suffix == ".nrrd" else 0
+        return file.stat().st_size >= start + nbytes
     with open(file, "rb") as data:
         data.seek(-4, os.SEEK_END)
         return int.from_bytes(data.read(4), "little") == nbytes % (1 << 32)
