@@ -265,7 +265,7 @@ def test_what_is_not_written(
     ("act", "said"),
     [
         (lambda folder: open_image(folder), r"Zarr stores need zarr, which .*'supple\[zarr\]'"),
-        (lambda _: read(DATA / "scene-2d.zarr"), r"transformations of OME-Zarr need zarr, .*'supple\[zarr\]'"),
+        (lambda _: read(DATA / "scene-2d.zarr"), r"Zarr stores need zarr, .*'supple\[zarr\]'"),
         (lambda folder: write(folder / "a.zarr", [np.eye(3)]), r"supple\[zarr\]"),
         (lambda _: read(DATA / "stmap-float.exr"), r"OpenEXR pictures and maps need OpenEXR, .*'supple\[exr\]'"),
         (lambda folder: write(folder / "a.exr", [FLAT]), r"supple\[exr\]"),

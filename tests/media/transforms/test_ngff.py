@@ -312,9 +312,9 @@ def test_what_is_refused(tmp_path: Path) -> None:
 
     refused("there is no such folder")
     path.mkdir()
-    refused("it is no Zarr group")
+    refused("there is no Zarr array or group")
     (path / "zarr.json").write_text('{"zarr_format": 3, "node_')
-    refused("it is no Zarr group, or damaged")
+    refused("it is damaged")
     identity = {"type": "identity"}
     refused("has the unit 'parrot'", identity, axes("yx", "parrot"))
     refused("its axes are t, x, of the type time too", identity, [{"name": "t", "type": "time"}, *axes("x")])

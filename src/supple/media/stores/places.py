@@ -17,7 +17,6 @@ from supple.media.transforms.ngff import imported
 
 MARKER = "supple.json"
 """The file that marks the root of an unfinished output."""
-_WHAT = "Zarr stores"
 _SPELLINGS = {"s3a": "s3", "gcs": "gs", "abfss": "abfs", "az": "abfs"}
 """Other names of protocols."""
 _ATOMIC = {"s3", "gs", "abfs", "oci", "memory"}
@@ -39,12 +38,12 @@ class Place:
     def __init__(self, address: PathLike) -> None:
         self.address = os.fspath(address)
         self.folder: Path | None = None
-        imported(_WHAT)
+        imported()
         protocol = protocol_of(self.address)
         if not protocol:
             self.folder = Path(os.path.abspath(self.address))
         else:
-            need("zarr", f"{_WHAT} at addresses", "fsspec")
+            need("zarr", "Zarr stores at addresses", "fsspec")
         if protocol in ("file", "local"):
             from fsspec.core import url_to_fs
 

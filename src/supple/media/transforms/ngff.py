@@ -7,7 +7,6 @@ output the space of the input image. Axes are in array order, z first.
 from __future__ import annotations
 
 import contextlib
-import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
@@ -15,8 +14,8 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from supple.engine.work import Array
-from supple.errors import SuppleError, needed, said
-from supple.media.files import PathLike, check_suffix, refusing, replacing_together, unreadable, unwritable
+from supple.errors import SuppleError, needed
+from supple.media.files import PathLike, check_suffix, refusing, replacing_together, unwritable
 from supple.media.transforms.base import Content, Displacements, Grids, Matrix, check_content, inverse
 from supple.media.volume.data import MILLIMETRES
 from supple.space.geometry import Grid
@@ -177,9 +176,9 @@ def _field(
     return group.create_array(_ARRAY, shape=(len(axes), *samples.shape), dtype=dtype, dimension_names=names, **more)
 
 
-def imported(what: str = "transformations of OME-Zarr") -> Any:
-    """Return the module zarr, imported at the first use; ``what`` names, in an error, the feature that needs it."""
-    return needed("zarr", what, "zarr")
+def imported() -> Any:
+    """Return the module zarr, imported at the first use."""
+    return needed("zarr", "Zarr stores", "zarr")
 
 
 def space_matrix(axes: Sequence[Json], units: Sequence[str | None], error: Refusal) -> Matrix:
@@ -232,20 +231,10 @@ class Store:
     """A Zarr store whose transformation is read."""
 
     def __init__(self, path: PathLike) -> None:
-        self.path = path
-        zarr = imported()
-        if not os.path.isdir(path):
-            raise self.error("there is no such folder", "check the name")
-        with self.reading("it is no Zarr group, or damaged"):
-            self.root = zarr.open_group(os.fspath(path), mode="r")
+        from supple.media.stores.places import Place  # which uses this module
 
-    def error(self, reason: str, advice: str = "give a whole copy of it") -> SuppleError:
-        """Return an error that names the store."""
-        return unreadable(self.path, reason, advice)
-
-    def reading(self, what: str) -> contextlib.AbstractContextManager[None]:
-        """Convert all errors of zarr, whose codecs raise any type, to one sentence."""
-        return refusing(lambda error: self.error(f"{what} ({said(error)})"), Exception)
+        place = Place(path)
+        self.error, self.reading, self.root = place.unreadable, place.reading, place.open()
 
     def contents(self) -> tuple[Content, ...]:
         """Return the matrices and fields in the store, in millimetres in LPS, x first."""
