@@ -11,9 +11,8 @@ from collections.abc import Coroutine, Iterator
 from pathlib import Path
 from typing import Any, Literal
 
-from supple.errors import SuppleError, need, said
+from supple.errors import SuppleError, need, needed, said
 from supple.media.files import PathLike, _refused, is_store, protocol_of, unreadable, unwritable
-from supple.media.transforms.ngff import imported
 
 MARKER = "supple.json"
 """The file that marks the root of an unfinished output."""
@@ -38,7 +37,7 @@ class Place:
     def __init__(self, address: PathLike) -> None:
         self.address = os.fspath(address)
         self.folder: Path | None = None
-        imported()
+        needed("zarr", "Zarr stores", "zarr")
         protocol = protocol_of(self.address)
         if not protocol:
             self.folder = Path(os.path.abspath(self.address))

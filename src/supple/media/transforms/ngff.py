@@ -231,7 +231,7 @@ class Store:
     """A Zarr store whose transformation is read."""
 
     def __init__(self, path: PathLike) -> None:
-        from supple.media.stores.places import Place  # which uses this module
+        from supple.media.stores.places import Place
 
         place = Place(path)
         self.error, self.reading, self.root = place.unreadable, place.reading, place.open()
