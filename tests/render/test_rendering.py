@@ -18,22 +18,14 @@ from supple.render.scene import MODES, Scene
 from supple.render.transfer import ENTRIES, TransferFunction
 from supple.space.geometry import Geometry
 from tests import effort
+from tests.render.scenes import HARD, SOFT, cloud
 
 Floats = npt.NDArray[np.float64]
 
 SIZE = (30, 36)
 AMBIENT, DIFFUSE, SPECULAR = 0.15, 0.8, 0.2  # of light; the highlight is the cosine to the power of 16
 LAYER = 4  # voxels behind a cut face over which the light of gradients takes over
-SOFT = TransferFunction(((0.2, 1.0, 0.2, 0.1, 0.0), (0.5, 0.9, 0.5, 0.3, 0.2), (1.0, 1.0, 1.0, 1.0, 0.6)))
-HARD = TransferFunction(((0.49, 1.0, 0.8, 0.6, 0.0), (0.5, 1.0, 0.8, 0.6, 1.0), (1.0, 1.0, 0.8, 0.6, 1.0)))
 TRANSFERS = {"soft": SOFT, "hard": HARD}
-
-
-def cloud(shape: tuple[int, int, int] = (24, 30, 28), seed: int = 0) -> npt.NDArray[np.float32]:
-    rng = np.random.default_rng(seed)
-    made = ndimage.gaussian_filter(rng.normal(size=shape), 3, mode="constant")
-    made -= made.min()
-    return (made / made.max()).astype(np.float32)
 
 
 def spline_slopes(volume: Floats, points: Floats) -> Floats:
