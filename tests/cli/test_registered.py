@@ -13,7 +13,6 @@ import pytest
 import SimpleITK as sitk  # noqa: N813
 from scipy.ndimage import gaussian_filter
 
-import supple
 from supple import Deformation, Field, Grid
 from supple.media import image
 from supple.media import volume as media
@@ -148,22 +147,6 @@ def test_fields_of_spm_and_niftyreg_are_written_and_lead_to_the_same_places(
     assert run("warp", "moving.nii.gz", "a.nii.gz", "--field", "y_warp.nii", "--reference", "fixed.nii.gz")[0] == 0
     assert run("warp", "moving.nii.gz", "b.nii.gz", "--field", "warp.nii.gz", "--reference", "fixed.nii.gz")[0] == 0
     np.testing.assert_allclose(media.read("a.nii.gz").samples, media.read("b.nii.gz").samples, atol=1e-4)
-
-
-def test_strokes_stand_at_their_place_in_the_chain(run: Run, registered: sitk.Transform) -> None:
-    """A stroke between the affine map and the field is where it is in supple warp."""
-    grid = media.outline_of("moving.nii.gz").grid
-    turn, (field,) = supple.read_maps("turn.tfm")[0], supple.read_maps("warp.nii.gz")
-    d = Deformation(grid).affine(turn).grab((20, 18, 11), to=(22, 18, 11), radius=15)  # type: ignore[arg-type]
-    d = d.field(field)  # type: ignore[arg-type]
-    points = placed()
-    source = write("lps.csv", points)
-    stroke = ("--grab", "20,18,11:22,18,11", "--radius", "15")
-    status, _, err = run("points", str(source), "out.csv", *ON, "--inverse", *CHAIN[:2], *stroke, *CHAIN[2:])
-    assert status == 0, err
-    wanted = grid.positions(d.inverse(grid.indices(points)).points)
-    np.testing.assert_allclose(read_points("out.csv").points, wanted, rtol=0, atol=1e-8)
-    assert np.abs(wanted - through(registered, points)).max() > 0.3
 
 
 def test_a_rendering_on_the_grid_of_the_fixed_volume(run: Run, registered: sitk.Transform) -> None:

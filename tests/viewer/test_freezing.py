@@ -25,12 +25,8 @@ from supple.viewer.tools.gestures import Tools
 from tests.viewer.sessions import recipe_in, warped
 from tests.viewer.test_tools_slices import bench, middle
 from tests.viewer.test_window_brushes import both
-from tests.viewer.tools import arrived, clip, down, drag, image, move, press, up, wheel
+from tests.viewer.tools import arrived, clip, down, drag, image, move, press, state, up, wheel
 from tests.viewer.windows import Boxes, Hand, beside, opened
-
-
-def state(tools: Tools[Any]) -> tuple[object, bytes]:
-    return tools.document.state.content, tools.document.deformation.space.table.tobytes()
 
 
 def mask(tools: Tools[Any]) -> np.ndarray:

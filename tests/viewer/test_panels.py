@@ -126,20 +126,6 @@ def test_what_goes_wrong_does_not_kill_the_window(gpu: Gpu, monkeypatch: pytest.
     assert np.abs(again[:, 660:, :3].astype(int) - whole[:, 660:, :3]).mean() < 4
 
 
-def test_a_window_that_is_closed_without_asking_keeps_all_of_it(gpu: Gpu) -> None:
-    source = DATA / "coffee.jpg"
-    view, hand = opened(source, Recipe(border=None))
-    for k in range(3):
-        hand.drag((200 + 20 * k, 300), (220 + 20 * k, 310))
-    view.close()
-    again, _ = opened(source)
-    assert again.commands.asked.name == "restore"
-    assert again.commands.answer("Restore")
-    assert len(again.recipe.strokes) == 3
-    # What is restored is kept before the offer is put aside.
-    assert len(json.loads(again.commands.autosave.place.read_text())["recipe"]["strokes"]) == 3
-
-
 def test_files_are_replaced_only_when_that_is_said(gpu: Gpu, tmp_path: Path) -> None:
     source = tmp_path / "photo.jpg"
     source.write_bytes((DATA / "coffee.jpg").read_bytes())
