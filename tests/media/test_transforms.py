@@ -19,8 +19,8 @@ from supple.files.options import VolumeOptions
 from supple.files.transforms import displacement_of, write_transform
 from supple.media.transforms import SUFFIXES_OUT, check_target, write_field
 from supple.space.geometry import Geometry
-from tests.media.landmarks import refused
 from tests.media.transforms.mapping import rotation
+from tests.refusals import refused
 
 Array = npt.NDArray[Any]
 

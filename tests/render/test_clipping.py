@@ -19,6 +19,7 @@ from supple.render.scene import MODES, Scene
 from supple.render.transfer import TransferFunction
 from supple.space.geometry import Geometry
 from tests.children import ROOT
+from tests.refusals import refused
 from tests.render import scenes
 from tests.render.scenes import SHAPE, SOFT, cloud
 from tests.render.test_files import stored
@@ -127,10 +128,7 @@ def test_a_box_is_an_array_or_nested_sequences(clip: Any) -> None:
     ],
 )
 def test_other_arrays_are_refused_on_one_line(clip: Any, found: str) -> None:
-    with pytest.raises(supple.SuppleError) as raised:
-        box_of(clip, (9, 8, 7))
-    assert str(raised.value).startswith(f"clip must be {found}")
-    assert len(str(raised.value).splitlines()) == 1
+    assert refused(box_of, clip, (9, 8, 7)).startswith(f"clip must be {found}")
 
 
 def test_the_gpu_lights_as_the_core_does() -> None:

@@ -15,7 +15,8 @@ import pyvips
 from supple.media.image import ImageWarning, check_target, info, read, write
 from supple.media.pictures import SUFFIXES_OUT
 from tests.children import SOURCE
-from tests.media.image.pictures import FORMATS, SAVERS, noise, refused, smooth
+from tests.media.image.pictures import FORMATS, SAVERS, noise, smooth
+from tests.refusals import refused
 
 
 def run(code, *arguments):
