@@ -181,14 +181,12 @@ def test_compositions_are_those_of_the_maps(shape: tuple[int, ...], interpolatio
     )
     places = positions_of(grid)
     wanted = moved(other, affine(moved(one, places)))
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
+    with warnings.catch_warnings(action="error"):
         made = one.compose(affine, other, grid=grid)
     assert made.values.dtype == np.float32
     np.testing.assert_allclose(made.values.reshape(-1, n) + places, wanted, atol=1e-5)
     # Each after its inverse changes nothing; "edge" fields go on, so that whether it is outside does not matter.
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", OutsideWarning)
+    with warnings.catch_warnings(action="ignore", category=OutsideWarning):
         back = compose([one, affine, Placed(affine, True), Placed(one, True)], grid)
         forth = compose([Placed(one, True), one], grid)
     for each in (back, forth):

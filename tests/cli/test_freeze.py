@@ -173,8 +173,7 @@ def test_a_freeze_stands_where_it_is_given(run: Run) -> None:
     assert (state[disc()] != source[disc()]).any()
     assert (made != state).any()
     d = Deformation((40, 48)).grab((28, 16), to=(33, 18), radius=9).freeze(disc())
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
+    with warnings.catch_warnings(action="ignore"):
         d = d.grab((36, 26), to=(31, 22), radius=9)
     np.testing.assert_array_equal(made, d.warp(source))
     recipe = Recipe.from_json(Path("r.json").read_text())
@@ -192,8 +191,7 @@ def test_a_freeze_stands_where_it_is_given(run: Run) -> None:
     status, _, err = run("warp", "in.png", "out.png", *before, *freeze, *shift, *after, "--radius", "9", "--force")
     assert status == 0, err
     one = Deformation((40, 48)).grab((28, 16), to=(33, 18), radius=9).freeze(disc()).affine([[1, 0, 2], [0, 1, 1]])
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
+    with warnings.catch_warnings(action="ignore"):
         one = one.grab((36, 26), to=(31, 22), radius=9)
     np.testing.assert_array_equal(image.read("out.png").pixels, one.warp(source))
     # Thawed, all moves again.

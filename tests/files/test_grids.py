@@ -159,8 +159,7 @@ class TestMapsOnFiles:
             r"\(supple check shows where\)$"
         )
         options = VolumeOptions(save_field="field.mha")  # of the same map: it is not told of twice
-        with warnings.catch_warnings(record=True) as caught:
-            warnings.simplefilter("always")
+        with warnings.catch_warnings(record=True, action="always") as caught:
             done = warp_file("in.nii", "out.nii", EMPTY, maps=[placed], filter="linear", volume=options)
         assert done.folded + done.unsolved > 0
         assert {each.category for each in caught} <= {FoldWarning, OutsideWarning}
@@ -170,14 +169,13 @@ class TestMapsOnFiles:
         flat = np.zeros((40, 50, 2), np.float32)
         flat[:, 25:, 0] = -6.0
         maps = [Placed(Field(flat, Grid((40, 50))), True, after=1)]
-        with warnings.catch_warnings(record=True) as caught:
-            warnings.simplefilter("always")
+        with warnings.catch_warnings(record=True, action="always") as caught:
             picture = warp_file("in.png", "out.png", FLAT, maps=maps)
         (text,) = (str(each.message) for each in caught if each.category is FoldWarning)
         assert text.startswith("the field folds in 39 of its 1,911 cells: ")
         assert picture.folded + picture.unsolved > 0
-        with warnings.catch_warnings():
-            warnings.simplefilter("error", FoldWarning)  # which would be that of the field once more
+        with warnings.catch_warnings(action="error", category=FoldWarning):
+            # which would be that of the field once more
             picture.report()
 
     def test_a_field_that_is_saved(self, here: Path) -> None:

@@ -165,8 +165,7 @@ def test_a_border_that_is_elsewhere_is_told(here: Path) -> None:
     with pytest.warns(VolumeWarning, match="its border, a tenth of each axis, is elsewhere"):
         deformation_of(Job("", "", recipe), volume)
     for same in (replace(recipe, size=volume.sizes), replace(recipe, size=None), replace(recipe, border=2.0)):
-        with warnings.catch_warnings():
-            warnings.simplefilter("error", VolumeWarning)
+        with warnings.catch_warnings(action="error", category=VolumeWarning):
             deformation_of(Job("", "", same), volume)
 
 
@@ -224,8 +223,7 @@ def test_what_looks_like_labels_is_said(here: Path, dtype: Any) -> None:
     recipe = supple.Recipe(strokes=[supple.Stroke.grab((20, 20, 20), by=(2, 0, 1), radius=6)])
     for samples, said in ((regions, True), (mask, True), (noise, False), (smooth, False), (mask * noise * 9, False)):
         media.write("in.nii", samples, media.Volume(samples, OBLIQUE), force=True)
-        with warnings.catch_warnings(record=True) as told:
-            warnings.simplefilter("always")
+        with warnings.catch_warnings(record=True, action="always") as told:
             warp_file("in.nii", "out.nii", recipe, force=True, filter="linear")
         count = len(np.unique(samples))
         wanted = f"in.nii looks like a label map, of {count} values, and its labels are mixed where they meet: "
@@ -398,8 +396,7 @@ def test_what_is_not_a_number_stays_where_it_is(here: Path) -> None:
     stored("in.nii", samples)
     with pytest.warns(supple.errors.GapWarning, match="2 voxels of in.nii are NaN or infinite"):
         warp_file("in.nii", "out.nii", RECIPE, filter="linear")
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
+    with warnings.catch_warnings(action="error"):
         warp_file("in.nii", "near.nii", RECIPE, filter="nearest")
     assert 1 <= np.isnan(media.read("near.nii").samples).sum() < 10
     out = media.read("out.nii").samples

@@ -90,8 +90,7 @@ def test_itk_applies_the_field_of_a_nifti_to_the_volume_as_it_reads_it(tmp_path:
     made.to_filename(tmp_path / "in.nii")
     grab = [Stroke.grab((12, 14, 9), to=(16, 17, 11), radius=8)]
     options = VolumeOptions(save_field=tmp_path / "field.nii")
-    with warnings.catch_warnings(record=True) as told:
-        warnings.simplefilter("always")
+    with warnings.catch_warnings(record=True, action="always") as told:
         warp_file(
             tmp_path / "in.nii", tmp_path / "out.nii", Recipe(strokes=grab), filter="linear", volume=options,
             tolerance=1e-4,

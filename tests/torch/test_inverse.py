@@ -72,8 +72,7 @@ def test_gradients_of_a_field(shape: tuple[int, ...], beyond: Any, interpolation
     given = field(*shape).requires_grad_()
     batch = len(shape) == 5 or shape[1] == 2
     options: Any = {"spacing": STEPS[: shape[batch]], "interpolation": interpolation, "beyond": beyond}
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", OutsideWarning)
+    with warnings.catch_warnings(action="ignore", category=OutsideWarning):
         status = bending.invert(given, tolerance=1e-9, **options).status
         well = (status == OK) | ((status == OUTSIDE) & (beyond == "edge"))
         well = well.unsqueeze(-len(STEPS[: shape[batch]]) - 1)

@@ -335,8 +335,7 @@ def test_damped_numbers_warn_once_and_as_deformations_do() -> None:
     far = torch.tensor([[25.0, 0.0]])
     with pytest.raises(supple.FoldError, match="stroke 1 of 1: a drag by"):
         bending.warp(torch.zeros(30, 30), d, by=far)
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
+    with warnings.catch_warnings(record=True, action="always") as caught:
         bending.warp(
             torch.zeros(30, 30),
             supple.Deformation((30, 30), border=64, on_fold="damp").grab((15, 15), by=(1, 1), radius=5, reach=None),

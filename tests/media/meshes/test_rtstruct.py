@@ -39,8 +39,7 @@ def test_within_their_planes_contours_stay_planar(tmp_path: Path) -> None:
     read = opened(source)
     x, y, z = read.points.T
     moved = np.stack([x + np.where(z < 1, 0, y / 7), y, z], axis=-1)  # the first contour stays
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
+    with warnings.catch_warnings(action="error"):
         write_points(tmp_path / "out.dcm", moved, read)
     before, after = contours(source), contours(tmp_path / "out.dcm")
     np.testing.assert_allclose(np.concatenate([points_of(c) for c in after]), moved, rtol=0, atol=1e-9)
@@ -151,8 +150,8 @@ def test_it_refers_to_another_series(tmp_path: Path, many: bool) -> None:
     known.ROIContourSequence.append(item(ReferencedROINumber=2, ContourSequence=[contour(circle(0) + 999)]))
     known.save_as(source)
     assert np.abs((places - centre) @ normal).max() < 5  # the slices are stacked along it
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # points are outside, and the enhanced file has another frame of reference
+    with warnings.catch_warnings(action="ignore"):
+        # points are outside, and the enhanced file has another frame of reference
         move_points(source, tmp_path / "out.dcm", Deformation((4, 5, 6)), read(series).geometry, refer_to=series)
     made = pydicom.dcmread(tmp_path / "out.dcm")
     assert made.SOPInstanceUID != known.SOPInstanceUID  # also if nothing has moved
