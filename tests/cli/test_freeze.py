@@ -204,7 +204,6 @@ def test_each_stroke_has_its_strength(run: Run) -> None:
 def test_a_freeze_between_a_recipe_without_strokes_and_a_map(run: Run) -> None:
     image.write("mask.png", np.where(disc(), 255, 0).astype(np.uint8))
     Path("empty.json").write_text('{"supple": 3, "border": "auto", "strokes": []}')
-    Path("shift.txt").write_text("1 0 4\n0 1 0\n0 0 1\n")
     rest = ("--affine", "1,0,4,0,1,0", "--freeze", "mask.png", *GRAB, "--json")
     plain = run("warp", "in.png", "plain.png", *rest)
     beside = run("warp", "in.png", "beside.png", "--recipe", "empty.json", *rest)
