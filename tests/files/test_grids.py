@@ -35,6 +35,7 @@ from supple.files.options import VolumeOptions
 from supple.media import image
 from supple.media import volume as media
 from supple.space.geometry import Geometry
+from tests.refusals import refused
 
 SHAPE = (14, 18, 16)
 DIRECTION = np.array([[0.0, -0.8, 0.6], [1.0, 0.0, 0.0], [0.0, 0.6, 0.8]]) @ np.diag([1.0, -1.0, 1.0])
@@ -358,8 +359,7 @@ class TestRefusals:
         ],
     )
     def test_options(self, options: dict[str, Any], said: str) -> None:
-        with pytest.raises(SuppleError, match=said):
-            GridOptions(**options)
+        refused(GridOptions, **options, match=said)
 
     @pytest.mark.parametrize(
         ("options", "said"),
@@ -371,8 +371,7 @@ class TestRefusals:
     )
     def test_arguments(self, here: Path, options: dict[str, Any], said: str) -> None:
         pictured("in.png", 40, 50, 3)
-        with pytest.raises(SuppleError, match=said):
-            warp_file("in.png", "out.png", replace(FLAT, size=(25, 20)), **options)
+        refused(warp_file, "in.png", "out.png", replace(FLAT, size=(25, 20)), **options, match=said)
         assert not Path("out.png").exists()
 
     def test_pictures_of_scenes_and_of_the_published_method(self) -> None:
@@ -383,8 +382,7 @@ class TestRefusals:
         with pytest.raises(SuppleError, match="a scene is bent by strokes alone"):
             Scene(voxels(), deformation=Deformation(SHAPE).affine(shift))
         flat = Deformation((40, 50)).affine([[1, 0, 1], [0, 1, 0]])
-        with pytest.raises(SuppleError, match="the published method inverts strokes alone"):
-            measure.iterations(flat)
+        refused(measure.iterations, flat, match="the published method inverts strokes alone")
         errors = measure.residual(flat)
         assert errors.distance.max() < 1e-6
         np.testing.assert_allclose(measure.sources(flat)[1][3, 4], (5, 3))
