@@ -456,10 +456,10 @@ def test_whole_numbers_are_all_in_that_table() -> None:
     assert all(kind == "whole" for _, kind, more in found if "count=True" not in more)
 
 
-@pytest.mark.parametrize("name", ["missing", "cut"])
+@pytest.mark.parametrize("name", ["missing", "cut", "folder"])
 def test_what_is_no_picture_is_one_line(run: Run, name: str) -> None:
-    if name == "cut":
-        Path(name).write_bytes(Path("in.png").read_bytes()[:3000])
+    Path("cut").write_bytes(Path("in.png").read_bytes()[:3000])
+    Path("folder").mkdir()
     before = sorted(os.listdir())
     for arguments in (["warp", name, "out.png", *GRAB], ["plot", name, "out.png", *GRAB]):
         status, out, err = run(*arguments)
