@@ -5,11 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-import pytest
 from hypothesis import strategies as st
 
-from supple.errors import SuppleError
 from supple.strokes import Recipe, Stroke
+from tests.refusals import refused
 
 
 def grab(**changes: Any) -> Stroke:
@@ -18,10 +17,7 @@ def grab(**changes: Any) -> Stroke:
 
 def refusal(call: Callable[[], object]) -> str:
     """The message with which a call is refused, checked to be one plain sentence."""
-    with pytest.raises(SuppleError) as caught:
-        call()
-    message = str(caught.value)
-    assert message.isprintable()
+    message = refused(call)
     assert 10 < len(message) < 300
     return message
 

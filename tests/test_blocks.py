@@ -65,8 +65,7 @@ def in_blocks(warp: Warp, source: Array, steps: list[int]) -> tuple[Array, list[
 
 def whole(warp: Warp, source: Array, grid: Grid | None = None) -> Array:
     """What `Deformation.warp` makes of it, on the warp's own grid or another."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
+    with warnings.catch_warnings(action="ignore"):
         return warp.deformation.warp(
             source, sampling=warp.sampling, alpha=warp.alpha, grid=warp.grid if grid is None else grid
         )

@@ -19,8 +19,7 @@ AGAIN = Stroke.grab((150, 60), by=(0, 9), radius=25)
 
 def said(make: Callable[[], Deformation]) -> tuple[Deformation, list[str]]:
     """Return what is made, and the warnings of points that are carried away."""
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
+    with warnings.catch_warnings(record=True, action="always") as caught:
         made = make()
     assert all(issubclass(each.category, MissWarning) for each in caught)
     return made, [str(each.message) for each in caught]
@@ -47,8 +46,7 @@ def test_both_strokes_are_named_when_the_later_one_is_added() -> None:
     assert [arrival.carried_by for arrival in d.arrivals] == [1, None]
     assert d.arrivals[0].moved == pytest.approx(moved)
     assert built(ONE, OTHER, AGAIN)[1] == [text]  # once
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
+    with warnings.catch_warnings(action="error"):
         Deformation((160, 240)).add(ONE).add(OTHER, warn=False)
 
 
@@ -159,8 +157,7 @@ def test_maps_between_strokes_carry_nothing_away() -> None:
 def test_strokes_with_keys_are_one_warning_of_all_frames() -> None:
     keys = (Key(0, at=(200, 85)), Key(9, at=(80, 85)))
     moving = Recipe(strokes=(ONE, Stroke(at=(200, 85), by=(0, 20), radius=20, keys=keys)))
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
+    with warnings.catch_warnings(record=True, action="always") as caught:
         frames = motion_of(moving, 10, (160, 240))
     (text,) = [str(each.message) for each in caught]
     far = [d.arrivals[0].carried_by == 1 for d in frames]

@@ -259,8 +259,7 @@ def test_warnings_come_at_once_and_name_the_line_that_warps() -> None:
         folded = d.field(supple.Field.from_array(x), inverse=True)
     source = np.zeros((40, 50))
     for array in (source, xarray.DataArray(source, dims=("y", "x"))):
-        with warnings.catch_warnings(record=True) as caught:
-            warnings.simplefilter("always")
+        with warnings.catch_warnings(record=True, action="always") as caught:
             made = warp(array, folded, chunks=20)
         assert {each.category for each in caught} & {FoldWarning, OutsideWarning}
         assert {each.filename for each in caught} == {__file__}

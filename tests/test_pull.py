@@ -210,8 +210,7 @@ def test_any_pull_arrives_or_is_refused(seed: int, border: str | None) -> None:
     points = rng.uniform((10, 10), (149, 109), (count, 2))
     by = rng.normal(size=(count, 2)) * rng.uniform(0, 12)
     made = Deformation((120, 160), border=border)  # type: ignore[arg-type]
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
+    with warnings.catch_warnings(action="error"):
         try:
             d = made.pull(points, by=by, radius=radius)
         except SuppleError:  # the targets of some cannot be reached

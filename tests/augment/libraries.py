@@ -11,8 +11,7 @@ import pytest
 
 def library(name: str) -> ModuleType:
     """Return a library; the tests of a module are skipped where it, or what it needs, is not installed."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
+    with warnings.catch_warnings(action="ignore"):
         try:
             return importlib.import_module(name)
         except ModuleNotFoundError as error:

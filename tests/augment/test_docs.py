@@ -25,6 +25,5 @@ def test_a_part_runs(name: str) -> None:
         library(name.lower())
     except pytest.skip.Exception as skipped:
         pytest.skip(str(skipped))
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # those of the library
+    with warnings.catch_warnings(action="ignore"):  # those of the library
         exec(compile(PARTS[name], f"docs/augmentation.md, {name}", "exec"), {})

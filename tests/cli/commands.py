@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -20,6 +22,19 @@ def noise(height: int, width: int, channels: int = 3, dtype: type = np.uint8) ->
     top = np.iinfo(dtype).max + 1
     shape = (height, width, channels) if channels > 1 else (height, width)
     return rng.integers(0, top, shape, dtype=dtype)
+
+
+def done(said: Said) -> str:
+    """Return what a command that came to its end wrote."""
+    status, out, err = said
+    assert status == 0, err
+    return out
+
+
+def told(said: Said) -> dict[str, Any]:
+    """Return what it told as JSON."""
+    made: dict[str, Any] = json.loads(done(said))
+    return made
 
 
 def one_line(text: str) -> str:

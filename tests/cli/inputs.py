@@ -97,7 +97,6 @@ def write_pictures() -> None:
     image.write("in.png", noise(40, 48), force=True)
     image.write("small.png", noise(20, 30))
     Path("cut.exr").write_bytes((DATA / "stmap-float.exr").read_bytes()[:1500])
-    image.write("old.png", noise(4, 4))
     image.write("photo.png", np.zeros((9, 9), np.uint8))
     image.write("square.png", noise(20, 20, 1))
     image.write("labels.png", np.arange(40 * 48, dtype=np.uint8).reshape(40, 48) % 3)

@@ -14,13 +14,12 @@ from supple.cli.options_strokes import in_order
 from supple.errors import SuppleError
 from supple.media import image, volume
 from supple.space.geometry import Geometry
-from tests.cli.commands import Run, one_line
+from tests.cli.commands import Run, done, one_line, told
 
 
 def saved(run: Run, *options: str) -> Recipe:
     """Return the recipe that a command line makes."""
-    status, _, err = run("warp", "in.png", "out.png", *options, "--save-recipe", "r.json", "--force", "--quiet")
-    assert status == 0, err
+    done(run("warp", "in.png", "out.png", *options, "--save-recipe", "r.json", "--force", "--quiet"))
     return Recipe.from_json(Path("r.json").read_text())
 
 
@@ -261,11 +260,8 @@ def test_a_mirror_makes_each_stroke_on_the_other_side(
     flat = saved(run, "--grab", "12,16:15,18", "--radius", "5", "--flat", "0.5", "--mirror", mirror).strokes
     assert [stroke.flat for stroke in flat] == [0.5, 0.5]
     np.testing.assert_allclose(flat[1].at, flat[0].mirrored(*line).at)
-    status, out, _ = run(
-        "warp", "in.png", "more.png", *strokes, "--affine", "1,0,2,0,1,0", "--pinch", "12,20:0.8", "--json"
-    )
-    assert status == 0
-    assert json.loads(out)["maps"][0]["after"] == 3  # a pull, and two twists
+    more = (*strokes, "--affine", "1,0,2,0,1,0", "--pinch", "12,20:0.8", "--json")
+    assert told(run("warp", "in.png", "more.png", *more))["maps"][0]["after"] == 3  # a pull, and two twists
 
 
 @pytest.mark.parametrize(

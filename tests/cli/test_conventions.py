@@ -18,7 +18,7 @@ from scipy.ndimage import map_coordinates
 from supple import Field, Grid
 from supple.media import image, volume
 from supple.space.geometry import Geometry
-from tests.cli.commands import Run, one_line
+from tests.cli.commands import Run, done, one_line
 from tests.media.transforms.mapping import DATA, Floats, centres, grid_of
 
 CLOSE = 1e-3
@@ -32,8 +32,7 @@ def test_coordinates_of_points_are_named_in_any_case(run: Run, name: str) -> Non
         Path(table).write_text(text)
     strokes = ("--pull", "a.csv:b.csv", "--radius", "2", "--quiet", "--force", "--border", "none")
     for given in (("points", "a.csv", "c.csv", "--on", "in.nii"), ("warp", "in.nii", "out.nii")):
-        status, _, err = run(*given, *strokes, "--convention", name)
-        assert status == 0, err
+        done(run(*given, *strokes, "--convention", name))
         status, _, err = run(*given, *strokes, "--convention", f"{name}x")
         assert (status, "LPS" in one_line(err)) == (2, True)
 

@@ -13,7 +13,7 @@ from supple import Affine, Field, Placed, compose
 from supple.cli.fields import parse_maps
 from supple.errors import SuppleError
 from supple.media import transforms, volume
-from tests.cli.commands import Run, one_line
+from tests.cli.commands import Run, done, one_line
 from tests.sampled_fields import GRID, sine, smooth
 
 MATRIX = np.array([[1.03, 0.05, 0, 0.4], [-0.04, 0.98, 0.03, -0.3], [0, 0.02, 1.01, 0.2], [0, 0, 0, 1]])
@@ -130,8 +130,7 @@ def test_check_with_an_inverse(run: Run) -> None:
 
 def test_compose_takes_what_stands_after_a_file_for_that_file(run: Run) -> None:
     line = ("compose", "a.tfm", "--inverse", "u.nii.gz", "--convention", "itk", "--out", "d.mha")
-    status, out, _ = run(*line)
-    assert status == 0
+    out = done(run(*line))
     assert out.splitlines()[0] == "a.tfm: read as ITK (LPS, mm), from its suffix .tfm; inverted"
     assert "u.nii.gz: read as ITK (LPS, mm), as given" in out
     assert "d.mha: written as ITK (LPS, mm), as all were read" in out

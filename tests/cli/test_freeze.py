@@ -14,7 +14,7 @@ import pytest
 from supple import Deformation, Freeze, Recipe, Stroke, SuppleError
 from supple.media import image, volume
 from supple.space.geometry import Geometry
-from tests.cli.commands import Run, noise, one_line
+from tests.cli.commands import Run, done, noise, one_line, told
 
 GRAB = ("--grab", "20,16:25,18", "--radius", "12")
 
@@ -25,8 +25,7 @@ def disc(height: int = 40, width: int = 48) -> npt.NDArray[np.bool_]:
 
 def test_frozen_pixels_stay(run: Run) -> None:
     image.write("mask.png", np.where(disc(), 255, 0).astype(np.uint8))
-    status, _, err = run("warp", "in.png", "out.png", "--freeze", "mask.png", *GRAB, "--save-recipe", "r.json")
-    assert status == 0, err
+    done(run("warp", "in.png", "out.png", "--freeze", "mask.png", *GRAB, "--save-recipe", "r.json"))
     source, out = (image.read(name).pixels for name in ("in.png", "out.png"))
     assert (out[disc()] == source[disc()]).all()
     assert (out != source).any()
@@ -123,8 +122,7 @@ def test_a_label_of_a_volume(run: Run) -> None:
     samples, labels = labelled(run)
     grab = ("--grab", "14,12,8:18,12,9", "--radius", "6")
     command = ("warp", "ct.nii", "out.nii", "--force", "--freeze")
-    status, _, err = run(*command, "labels.nii:3", *grab)
-    assert status == 0, err
+    done(run(*command, "labels.nii:3", *grab))
     out = volume.read("out.nii").samples
     assert (out[labels == 3] == samples[labels == 3]).all()
     assert (out[labels == 0] != samples[labels == 0]).any()
@@ -140,8 +138,7 @@ def test_in_millimetres(run: Run) -> None:
     """A recipe in space has the mask in voxels."""
     samples, labels = labelled(run)
     command = ("warp", "ct.nii", "out.nii", "--world", "--freeze", "labels.nii:3", "--grab", "-9,19,19:-5,19,21")
-    status, _, err = run(*command, "--radius", "6", "--save-recipe", "r.json")
-    assert status == 0, err
+    done(run(*command, "--radius", "6", "--save-recipe", "r.json"))
     out = volume.read("out.nii").samples
     assert (out[labels == 3] == samples[labels == 3]).all()
     assert run("warp", "ct.nii", "again.nii", "--recipe", "r.json")[0] == 0
@@ -164,22 +161,19 @@ def test_a_freeze_stands_where_it_is_given(run: Run) -> None:
     before, after = ("--grab", "28,16:33,18"), ("--grab", "36,26:31,22")
     rest = ("--radius", "9", "--force", "--save-recipe", "r.json")
     freeze = ("--freeze", "mask.png")
-    status, _, err = run("warp", "in.png", "state.png", *before, *rest)
-    assert status == 0, err
-    status, out, err = run("warp", "in.png", "out.png", *before, *freeze, *after, *rest, "--json")
-    assert status == 0, err
+    done(run("warp", "in.png", "state.png", *before, *rest))
+    facts = told(run("warp", "in.png", "out.png", *before, *freeze, *after, *rest, "--json"))
     state, made, source = (image.read(name).pixels for name in ("state.png", "out.png", "in.png"))
     np.testing.assert_array_equal(made[disc()], state[disc()])
     assert (state[disc()] != source[disc()]).any()
     assert (made != state).any()
     d = Deformation((40, 48)).grab((28, 16), to=(33, 18), radius=9).freeze(disc())
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
+    with warnings.catch_warnings(action="ignore"):
         d = d.grab((36, 26), to=(31, 22), radius=9)
     np.testing.assert_array_equal(made, d.warp(source))
     recipe = Recipe.from_json(Path("r.json").read_text())
     assert recipe.strokes == d.strokes
-    assert json.loads(out)["strokes"] == 3
+    assert facts["strokes"] == 3
     assert "stroke 2    a freeze at (32, 20), 10% of 48 x 40" in run("info", "r.json")[1]
     # After a recipe, and before a map that stands between strokes.
     Path("first.json").write_text(Deformation((40, 48)).grab((28, 16), to=(33, 18), radius=9).recipe.to_json())
@@ -189,16 +183,13 @@ def test_a_freeze_stands_where_it_is_given(run: Run) -> None:
     assert Recipe.from_json(Path("r.json").read_text()).freeze == Freeze.of(disc())
     assert (image.read("beside.png").pixels[disc()] == source[disc()]).all()
     shift = ("--affine", "1,0,2,0,1,1")
-    status, _, err = run("warp", "in.png", "out.png", *before, *freeze, *shift, *after, "--radius", "9", "--force")
-    assert status == 0, err
+    done(run("warp", "in.png", "out.png", *before, *freeze, *shift, *after, "--radius", "9", "--force"))
     one = Deformation((40, 48)).grab((28, 16), to=(33, 18), radius=9).freeze(disc()).affine([[1, 0, 2], [0, 1, 1]])
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
+    with warnings.catch_warnings(action="ignore"):
         one = one.grab((36, 26), to=(31, 22), radius=9)
     np.testing.assert_array_equal(image.read("out.png").pixels, one.warp(source))
     # Thawed, all moves again.
-    status, _, err = run("warp", "in.png", "out.png", *freeze, *before, "--freeze", "none", *after, *rest)
-    assert status == 0, err
+    done(run("warp", "in.png", "out.png", *freeze, *before, "--freeze", "none", *after, *rest))
     kinds = [stroke.brush for stroke in Recipe.from_json(Path("r.json").read_text()).strokes]
     assert kinds == ["grab", "freeze", "grab"]
     assert (image.read("out.png").pixels[disc()] != source[disc()]).any()
@@ -213,7 +204,6 @@ def test_each_stroke_has_its_strength(run: Run) -> None:
 def test_a_freeze_between_a_recipe_without_strokes_and_a_map(run: Run) -> None:
     image.write("mask.png", np.where(disc(), 255, 0).astype(np.uint8))
     Path("empty.json").write_text('{"supple": 3, "border": "auto", "strokes": []}')
-    Path("shift.txt").write_text("1 0 4\n0 1 0\n0 0 1\n")
     rest = ("--affine", "1,0,4,0,1,0", "--freeze", "mask.png", *GRAB, "--json")
     plain = run("warp", "in.png", "plain.png", *rest)
     beside = run("warp", "in.png", "beside.png", "--recipe", "empty.json", *rest)
@@ -226,5 +216,4 @@ def test_a_recipe_s_freeze_is_thawed(run: Run) -> None:
     first = ("--grab", "10,10:12,11", "--radius", "6")
     saved = run("warp", "in.png", "a.png", *first, "--freeze", "mask.png", *first[:2], "--save-recipe", "r.json")
     assert saved[0] == 0, saved[2]
-    status, _, err = run("warp", "in.png", "b.png", "--recipe", "r.json", "--freeze", "none", *GRAB)
-    assert status == 0, err
+    done(run("warp", "in.png", "b.png", "--recipe", "r.json", "--freeze", "none", *GRAB))

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from tests.cli.commands import GRAB, Run, one_line
+from tests.cli.commands import GRAB, Run, done, one_line
 
 
 def test_info(run: Run) -> None:
@@ -112,8 +112,7 @@ VERBS = ("warp", "plot", "render", "points", "plan", "info", "view", "invert", "
 @pytest.mark.parametrize("verb", ["", *VERBS])
 def test_help_fits_the_terminal(run: Run, monkeypatch: pytest.MonkeyPatch, verb: str, width: int) -> None:
     monkeypatch.setenv("COLUMNS", str(width))
-    status, out, _ = run(*verb.split(), "--help")
-    assert status == 0
+    out = done(run(*verb.split(), "--help"))
     assert max(map(len, out.splitlines())) <= width
 
 

@@ -165,7 +165,10 @@ def test_several_pictures_do_not_go_into_one(run: Run, given: list[str]) -> None
     assert "a.png" in os.listdir("x.png")
 
 
-def test_brackets_in_a_name_are_a_name(run: Run) -> None:
-    os.rename("in.png", "in[1].png")
-    assert run("warp", "in[1].png", "out[2].png", *GRAB) == (0, "", "")
-    assert sorted(os.listdir()) == ["in[1].png", "out[2].png"]
+@pytest.mark.parametrize(
+    ("name", "out"), [("in[1].png", "out[2].png"), ("photo##.png", "out.png"), ("icon@2x.png", "icon@3x.png")]
+)
+def test_a_name_with_signs_of_a_file_that_is_there_is_a_name(run: Run, name: str, out: str) -> None:
+    os.rename("in.png", name)
+    assert run("warp", name, out, *GRAB) == (0, "", "")
+    assert sorted(os.listdir()) == sorted([name, out])

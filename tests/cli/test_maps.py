@@ -25,7 +25,7 @@ from supple.space.geometry import Geometry
 from supple.viewer.panels.layers import Registration
 from supple.viewer.window.options import ViewOptions
 from supple.viewer.window.volumes import placed
-from tests.cli.commands import Run
+from tests.cli.commands import Run, told
 
 SHAPE = (20, 24, 22)
 PLACE = Geometry((4.0, 4.0, 4.0), (-45.0, -40.0, -30.0), np.eye(3), "LPS")
@@ -77,10 +77,9 @@ def test_points_go_where_the_picture_goes(run: Run, composite: sitk.Transform) -
 
 def test_pictures_and_their_points(run: Run) -> None:
     Path("p.csv").write_text("x,y\n10,12\n")
-    status, out, err = run("points", "p.csv", "q.csv", "--on", "in.png", "--affine", "1,0,2,0,1,-3", "--json")
-    assert status == 0, err
+    facts = told(run("points", "p.csv", "q.csv", "--on", "in.png", "--affine", "1,0,2,0,1,-3", "--json"))
     np.testing.assert_allclose(read_points("q.csv").points[:, :2], [[8, 15]], atol=1e-9)
-    assert json.loads(out)["displaced"][0] == pytest.approx(13**0.5)
+    assert facts["displaced"][0] == pytest.approx(13**0.5)
     assert run("plot", "in.png", "plot.png", "--affine", "1,0.02,2,-0.02,1,-3")[0] == 0
     assert image.read("plot.png").pixels.std() > 5
 
@@ -165,8 +164,8 @@ def test_the_constant_is_scaled_and_of_labels_it_is_0(run: Run) -> None:
     raw = bytearray(Path("plain.nii").read_bytes())
     raw[112:120] = np.array([2.0, -1000.0], header["scl_slope"].dtype.newbyteorder(header.endianness)).tobytes()
     Path("scaled.nii").write_bytes(raw)
-    status, out, _ = run("warp", "scaled.nii", "out.nii", "--reference", "fixed.nii.gz", "--json")
-    assert (status, json.loads(out)["background"]) == (0, 2.0 * counts.min() - 1000)
+    facts = told(run("warp", "scaled.nii", "out.nii", "--reference", "fixed.nii.gz", "--json"))
+    assert facts["background"] == 2.0 * counts.min() - 1000
     assert (media.read("out.nii").rescaled()[..., 15:] == 2.0 * counts.min() - 1000).all()
     status, out, _ = run("warp", "plain.nii", "labels.nii", "--reference", "fixed.nii.gz", "--json", "--labels")
     assert (status, json.loads(out)["background"]) == (0, 0.0)
@@ -175,9 +174,8 @@ def test_the_constant_is_scaled_and_of_labels_it_is_0(run: Run) -> None:
         if source == "plain.zarr":
             assert run("warp", "plain.nii", source, "--resample", "1")[0] == 0
         target = f"{Path(source).suffix[1:]}-out.zarr"
-        status, out, err = run("warp", source, target, "--reference", "fixed.nii.gz", "--json")
-        assert status == 0, err
-        assert json.loads(out)["background"] == (counts.min() if source == "plain.nii" else 0)
+        facts = told(run("warp", source, target, "--reference", "fixed.nii.gz", "--json"))
+        assert facts["background"] == (counts.min() if source == "plain.nii" else 0)
 
 
 def test_the_padding_of_dicom_lies_outside(tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 import supple
 from supple.media import image
 from supple.space.geometry import Grid
-from tests.cli.commands import Run
+from tests.cli.commands import Run, done
 
 DATA = Path(supple.__file__).parent / "examples" / "data"
 HEAD = str(DATA / "head.nii.gz")
@@ -17,13 +17,9 @@ HEAD = str(DATA / "head.nii.gz")
 
 def test_the_commands(run: Run, here: Path) -> None:
     stroke = ("--grab", "0,71,53:0,59,49", "--radius", "40", "--world")
-    status, _, err = run("plot", HEAD, "grid.png", *stroke, "--plane", "sagittal:0")
-    assert status == 0, err
+    done(run("plot", HEAD, "grid.png", *stroke, "--plane", "sagittal:0"))
     assert image.read("grid.png").pixels.std() > 5
-    status, _, err = run(
-        "plot", HEAD, "stretch.svg", *stroke, "--what", "stretch", "--reference", str(DATA / "brain.nii.gz")
-    )
-    assert status == 0, err
+    done(run("plot", HEAD, "stretch.svg", *stroke, "--what", "stretch", "--reference", str(DATA / "brain.nii.gz")))
     status, _, err = run("plot", HEAD, "no.png", *stroke, "--what", "iterations")
     assert (status, err.splitlines()[-1]) == (
         2, f"supple: iterations is for pictures and videos, and {HEAD} is a volume: draw grid or stretch"

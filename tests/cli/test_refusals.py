@@ -10,8 +10,7 @@ from pathlib import Path
 import pytest
 
 import supple
-from supple.media import image
-from tests.cli.commands import GRAB, Run, noise, one_line
+from tests.cli.commands import GRAB, Run, one_line
 
 WORDS = {
     "GRAB": "--grab 20,16:23,18 --radius 12",
@@ -43,7 +42,7 @@ REFUSED: dict[str, list[tuple[str, str]]] = {
         ("--reach far", "--reach must be a number of radii from 1, or none, found 'far'"),
         ("--reach 4 --reach none", "2 times"),
         ("--border-profile cubic", "cubic"),
-        ("--border thin", "thin"),
+        ("--border thin", "for each axis, found 'thin'"),
         ("--border -1", "border"),
         ("--on-fold pray", "pray"),
         ("--filter magic", "magic"),
@@ -59,7 +58,6 @@ REFUSED: dict[str, list[tuple[str, str]]] = {
         ("--recipe none.json", "none.json"),
         ("--save-recipe missing/r.json", "missing"),
         ("--save-recipe o.png", "o.png"),
-        ("--filter", "--filter"),
         ("--amount=230%", "--amount must be a part of the strokes, from -100% to 200%, or from -1 to 2, "),
         ("--amount=-1.5", "--amount must be a part of the strokes, from -100% to 200%, or from -1 to 2, "),
         ("--amount=nan", "--amount must be a part of the strokes, from -100% to 200%, or from -1 to 2, "),
@@ -72,11 +70,6 @@ REFUSED: dict[str, list[tuple[str, str]]] = {
         ("--world", "--world is for volumes"),
         ("--fill 9", "--fill is the constant of --outside constant, and --outside is edge: give both"),
         ("--border 3 --border 3", "--border specified multiple times"),
-        ("--on-fold damp --on-fold damp", "--on-fold specified multiple times"),
-        ("--tolerance 3 --tolerance 3", "--tolerance specified multiple times"),
-        ("--quality 3 --quality 3", "--quality specified multiple times"),
-        ("--save-recipe 3 --save-recipe 3", "--save-recipe specified multiple times"),
-        ("--threads 3 --threads 3", "--threads specified multiple times"),
         ("--freeze none.png", "none.png"),
         ("--freeze in.png", "in.png cannot be a freeze mask: it has colours"),
         (
@@ -106,21 +99,17 @@ REFUSED: dict[str, list[tuple[str, str]]] = {
         ("--reference head.nii", "head.nii is a volume, and the grid of a picture"),
     ],
     "warp in.png o.png --radius 5": [
-        ("--twist 1,2", "--twist must be X,Y[,T|Z]:ANGLE[:AXIS], a point, degrees, and of 3 numbers an axis"),
         ("--twist 1,2:30:0,0", "--twist must be X,Y[,T|Z]:ANGLE[:AXIS], a point, degrees, and of 3 numbers an axis"),
         ("--twist 1,2,3:30", "has a point of 3 numbers, and a point of a picture has 2 numbers, x and y"),
         ("--twist 1,2:30 --restore 1,2", "Restoring and smoothing are for Python"),
-        ("--twist 1,2:30,40", "found '1,2:30,40'"),
         ("--twist 1,2:half", "found '1,2:half'"),
         ("--twist 1,2:nan", "--twist 1,2:nan: angle must be a number of degrees from -3600 to 3600, found nan"),
         ("--scale 1,2:0", "--scale 1,2:0: factor must be a number from 0.01 to 100, found 0"),
         ("--scale 1,2:1.4:1,0", "--scale must be X,Y[,T|Z]:FACTOR, a point and a factor (256,256:1.4, say)"),
-        ("--scale 1:1.4", "found '1:1.4'"),
         ("--scale ''", "found ''"),
         ("--pinch 1,2:-1", "--pinch 1,2:-1: factor must be"),
         ("--pinch 1,2:0.5:0,0", "--pinch 1,2:0.5:0,0: axis must be a direction, with a number other than 0"),
         ("--pinch 1,2:0.5:0,0,1", "--pinch must be X,Y[,T|Z]:FACTOR[:AXIS], a point, a factor, and an axis"),
-        ("--pinch 1,2,3:0.5", "2 numbers"),
         ("--twist 1,2:30 --scales 2", "--scales is for a --grab, and there is none: leave it out"),
         ("--twist 1,2:30 --scale 1,2:1.1 --reach 4 --reach 4 --reach 4", "for 2 strokes"),
         ("--grab 1,2:3,4 --twist 1,2:9 --scales 2 --scales 2", "2 times for one grab"),
@@ -138,13 +127,9 @@ REFUSED: dict[str, list[tuple[str, str]]] = {
     "warp in.png o.png": [
         ("", "--grab X,Y:X,Y"),
         ("--grab 1,2:3,4", "--radius"),
-        ("--grab", "--grab"),
         ("--radius 5", "--grab"),
-        ("--grab 1,2 --radius 5", "X,Y:X,Y"),
         ("--grab 1,2:3 --radius 5", "X,Y:X,Y"),
-        ("--grab 1,2:3,4:5,6,7 --radius 5", "X,Y:X,Y"),
         ("--grab a,b:c,d --radius 5", "X,Y:X,Y"),
-        ("--grab '' --radius 5", "X,Y:X,Y"),
         ("--grab '1,2:3,4\n5' --radius 5", "X,Y:X,Y"),
         ("--grab nan,2:3,4 --radius 5", "nan"),
         ("--grab 1,2:inf,4 --radius 5", "inf"),
@@ -154,7 +139,6 @@ REFUSED: dict[str, list[tuple[str, str]]] = {
         ("--grab 1,2:3,4 --radius 0", "above 0"),
         ("--grab 1,2:3,4 --radius -5", "above 0"),
         ("--grab 1,2:3,4 --radius abc", "abc"),
-        ("--grab 1,2:3,4 --radius", "--radius"),
         ("--grab 1,2:3,4 --radius 5 --radius 6", "2 times"),
         ("--twist 1,2:9 --radius 0", "--radius must be a number of … above 0, or a percentage, found '0'"),
         ("--scale 1,2:1.5", "--scale needs a --radius: how far it is felt"),
@@ -163,7 +147,6 @@ REFUSED: dict[str, list[tuple[str, str]]] = {
         ("--scalee 1,2:1.5", "Unknown option: --scalee"),
         ("--field u.nii", "u.nii is for volumes, with 3 axes, and in.png is a picture"),
         ("--field flow.yml --reference flow.yml", "cannot read flow.yml: it is no image"),
-        ("--inverse --field flow.yml", "--inverse is for the --field or --affine before it"),
         ("--field flow.yml --crop 40,0,9,9", "--crop must be within the grid of 48 x 40 samples"),
         ("--field flow.yml --resample 0", "--resample must be a spacing S above 0"),
         ("--field flow.yml --resample 1,2,3", "--resample must be one number or 2 of them"),
@@ -246,7 +229,6 @@ REFUSED: dict[str, list[tuple[str, str]]] = {
         ("out/ TIMED --pixel-format yuv420p", "--pixel-format is for videos"),
         ("out%d.jpg TIMED --quality 101", "101"),
         ("out.png TIMED", "out.png is one picture, and a clip is many: name an animated one (.webp or .apng), a"),
-        ("out.txt TIMED", "the suffix .txt is no video format"),
         ("out.ts TIMED", "the suffix .ts is no video format"),
         ("out%d.txt TIMED", ".txt"),
         ("out%d TIMED", "suffix"),
@@ -265,10 +247,7 @@ REFUSED: dict[str, list[tuple[str, str]]] = {
     "warp in.mkv o.mkv --radius 5": [
         ("--grab 30,20,32:30,20,36", "starts outside the clip, which has 64 x 48 pixels and 12 frames (from 0),"),
         ("--grab 30,20,-21:30,20,-25", "reaches nothing of it: use a point inside, a larger radius or a longer"),
-        ("--grab 30,20,nan:30,20,8", "nan"),
-        ("--grab 30,20,inf:30,20,8", "inf"),
         ("--grab 30,20,3:30,20", "X,Y,T:X,Y,T"),
-        ("--grab 30,20,3,4:30,20,3,4", "X,Y,T:X,Y,T"),
     ],
     "plot in.mkv o.png TIMED": [
         ("--what slice", "--x or --y"),
@@ -276,12 +255,9 @@ REFUSED: dict[str, list[tuple[str, str]]] = {
         ("--what slice --x 64", "--x must be from 0 to 63"),
         ("--what slice --x 2.5", "--x must be a whole number of pixels, found '2.5'"),
         ("--what grid --frame 2.5", "--frame must be the number of a frame (0, say) or a timecode"),
-        ("--what grid --frame 99", "--frame must be from 0 to 11, found 99"),
-        ("--what grid --x 3", "--x and --y are for slices"),
         ("--what slice --y 48", "--y must be from 0 to 47"),
         ("--what slice --x -1", "--x must be from 0 to 63"),
         ("--what slice --x 999999999999999999999999999999", "--x must be from 0 to 63"),
-        ("--what slice --x nan", "--x"),
         ("--what slice --x 3 --frame 2", "--frame"),
         ("--what sheet --frame 2", "--frame"),
         ("--what sheet --x 2", "slices"),
@@ -355,20 +331,12 @@ REFUSED: dict[str, list[tuple[str, str]]] = {
         ),
         ("frob", "plan, info, view, invert, check, compose, convert, demo (supple --help"),
         ("--versio", 'Unknown option "--versio"'),
-        ("warp in.png x.png GRAB --border none,3", "for each axis, found 'none,3'"),
         ("warp in.png x.png --grab 9,9:12,9 --grab 9,9,1:12,9,1 --radius 5", "--grab 9,9,1:12,9,1 has points of 3"),
-        ("wrap", ""),
         ("warp in.png GRAB", ""),
-        ("--nope", ""),
         ("info", ""),
         ("plot in.png", ""),
-        ("info --nope in.png", ""),
         ("render in.nii out.png --radius 5", "--radius is for strokes, and there are none: give --grab,"),
         ("view in.nii --radius 5", "--radius is for strokes, and there are none: give --grab,"),
-        ("render in.nii out.png --border none", "--border is for strokes, and there are none"),
-        ("view in.nii --border none", "--border is for strokes, and there are none"),
-        ("render in.nii out.png --on-fold damp", "--on-fold is for strokes, and there are none"),
-        ("view in.nii --on-fold damp", "--on-fold is for strokes, and there are none"),
         ("compose u.nii far-u.nii --out v.mha", "far-u.nii and what u.nii leads to do not overlap: from ("),
         ("compose u.nii --out v.mha --reference far-head.nii", "u.nii and the grid of the result do not overlap:"),
         ("convert u.nii v.mha --reference far-head.nii", "u.nii and the grid of the result do not overlap: from ("),
@@ -403,9 +371,7 @@ REFUSED: dict[str, list[tuple[str, str]]] = {
         ("convert u.nii v.txt", "a .txt file holds one affine map, and u.nii a field: use .nii.gz, .nrrd, .mha or"),
         ("convert both.h5 v.nii.gz", "both.h5 holds an affine map and a field, and v.nii.gz one field: give the"),
         ("invert u.nii v.xyz", "cannot write v.xyz: the suffix .xyz is of no transform of ITK: use .nii, "),
-        ("invert u.nii v", "cannot write v: a name without suffix is of no transform of ITK: use .nii, "),
         ("check u.nii --map head.nii", "head.nii exists already: choose another name, or --force"),
-        ("check u.nii --picture old.png", "old.png exists already: choose another name, or --force"),
         ("compose u.nii --out none/v.mha", "cannot write none/v.mha: there is no folder"),
         ("compose u.nii --out head.nii", "head.nii exists already: choose another name, or --force"),
         ("convert u.nii head.nii --to itk", "head.nii exists already: choose another name, or --force"),
@@ -424,15 +390,12 @@ REFUSED: dict[str, list[tuple[str, str]]] = {
         ("invert none.mha v.mha", "cannot read none.mha: No such file or directory"),
         ("invert a.tfm v.tfm --status s.mha", "holds an affine map: --error and --status are of"),
         ("invert - v.mha", "- for standard input or output is for warp, info and points"),
-        ("check u.nii --picture p.gif", "a plot's name must end in .png, .svg, .pdf"),
         ("compose a.tfm --out d.mha", "the maps are affine, and have no grid"),
         ("compose u.nii --typo --out d.mha", "Unknown option: --typo"),
         ("convert u.nii w.nii.gz --to fsl-relative", "give its grid as --source"),
-        ("warp in.zarr in.zarr FLAT", "in.zarr … exists … --force"),
         ("warp in.zarr there.zarr FLAT", "there.zarr exists already … --force"),
         ("warp in.zarr in.zarr out.zarr FLAT", "one at a time"),
         ("warp '*.zarr' out.zarr FLAT", "one at a time"),
-        ("warp in.zarr out.png FLAT", "in.zarr … out.png … out.zarr"),
         ("warp in.zarr - FLAT", "standard output"),
         ("warp none.zarr out.zarr FLAT", "none.zarr … no such folder"),
         ("warp in.png p.zarr FLAT --quality 9", "--quality is for pictures and clips, and the output is a Zarr store"),
@@ -486,9 +449,7 @@ REFUSED: dict[str, list[tuple[str, str]]] = {
         ("warp in.raw out.nii DRAG", "--shape"),
         ("warp missing.nii out.nii DRAG", "missing.nii"),
         ("warp text.nii.gz out.nii DRAG", "text.nii.gz"),
-        ("warp photo.png out.png --grab 1,1:2,2 --radius 3 --labels", "--labels is for volumes"),
         ("warp photo.png out.png --grab 1,1:2,2 --radius 3 --save-field f.nii", "--save-field is for volumes"),
-        ("warp photo.png out.png --grab 1,1:2,2 --radius 3 --world", "--world is for volumes"),
         ("warp in.nii out.nii --grab 1,1:2,2 --radius 3", "three numbers"),
         ("plot in.nii out.png DRAG --what residual", "draw grid or stretch"),
         ("render in.nii out.png --time 1", "--time is for series"),
@@ -533,17 +494,10 @@ def test_whole_numbers_are_all_in_that_table() -> None:
     assert all(kind == "whole" for _, kind, more in found if "count=True" not in more)
 
 
-@pytest.mark.parametrize("name", ["missing", "empty", "text", "cut", "folder", "cut jpeg"])
+@pytest.mark.parametrize("name", ["missing", "cut", "folder"])
 def test_what_is_no_picture_is_one_line(run: Run, name: str) -> None:
-    whole = Path("in.png").read_bytes()
-    made = {"empty": b"", "text": b"hello " * 99, "cut": whole[: len(whole) // 2]}
-    if name == "cut jpeg":
-        image.write("whole.jpg", noise(60, 60))
-        made[name] = Path("whole.jpg").read_bytes()[:900]
-    if name in made:
-        Path(name).write_bytes(made[name])
-    elif name == "folder":
-        Path(name).mkdir()
+    Path("cut").write_bytes(Path("in.png").read_bytes()[:3000])
+    Path("folder").mkdir()
     before = sorted(os.listdir())
     for arguments in (["warp", name, "out.png", *GRAB], ["plot", name, "out.png", *GRAB]):
         status, out, err = run(*arguments)
@@ -605,16 +559,7 @@ def test_a_picture_is_replaced_with_force_through_a_link_too(run: Run) -> None:
     ("text", "wanted"),
     [
         ("", "JSON"),
-        ("[]", "object"),
-        ('{"strokes": []}', "supple"),
-        ('{"supple": 4, "strokes": []}', "version"),
-        ('{"supple": "1", "strokes": []}', "version"),
-        ('{"supple": 1, "strokes": [], "boarder": 3}', "boarder"),
-        ('{"supple": 1, "strokes": 7}', "strokes"),
-        ('{"supple": 1, "strokes": [{"brush": "grab", "at": [1, 2], "by": [1, 1], "radius": "5"}]}', "radius"),
-        ('{"supple": 1, "strokes": [{"brush": "grab", "at": [1, 2], "by": [1, 1], "radius": 5, "p": 1}]}', "p"),
         ('{"supple": 1, "strokes": [{"brush": "grab", "at": [1, 2, 3], "by": [1, 1, 1], "radius": 5}]}', "2 numbers"),
-        ('{"supple": 1, "strokes": [NaN]}', "NaN"),
         ("\udcff", "text"),
     ],
 )

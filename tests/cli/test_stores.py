@@ -16,7 +16,7 @@ pytest.importorskip("dask")
 
 from supple import Recipe, Stroke, warp_file  # noqa: E402
 from tests.children import start  # noqa: E402
-from tests.cli.commands import Run, one_line  # noqa: E402
+from tests.cli.commands import Run, done, one_line, told  # noqa: E402
 
 FLAT = ("--grab", "14,12:17,14", "--radius", "5")
 DEEP = ("--grab", "14,12,4:16,13,5", "--radius", "3")
@@ -80,9 +80,8 @@ def test_a_plan_reads_no_sample(run: Run) -> None:
     assert (status, err) == (0, "")
     for word in ("output", "blocks", "copies", "to read", "memory"):
         assert word in out
-    status, out, _ = run("plan", "in.zarr", *FLAT, "--crop", "0,0,32,32", "--workers", "1", "--json")
-    facts = json.loads(out)
-    assert (status, facts["shape"], facts["size"], facts["dtype"]) == (0, [32, 32], 2048, "uint16")
+    facts = told(run("plan", "in.zarr", *FLAT, "--crop", "0,0,32,32", "--workers", "1", "--json"))
+    assert (facts["shape"], facts["size"], facts["dtype"]) == ([32, 32], 2048, "uint16")
     assert run("plan", "in.png", *FLAT)[0] == 0
     assert "nothing to do" in one_line(run("plan", "in.png")[2])
     assert sorted(os.listdir()) == ["in.png", "in.zarr"]
@@ -90,12 +89,10 @@ def test_a_plan_reads_no_sample(run: Run) -> None:
 
 def test_a_store_is_described(run: Run) -> None:
     store("in.zarr", (3, 40, 48), shards=(3, 32, 32))
-    status, out, _ = run("info", "in.zarr")
-    assert status == 0
+    out = done(run("info", "in.zarr"))
     for word in ("Zarr array", "3 x 40 x 48", "uint16", "in chunks of 3 x 16 x 16, in shards of 3 x 32 x 32"):
         assert word in out
-    status, out, _ = run("info", "in.zarr", "--json")
-    facts = json.loads(out)
+    facts = told(run("info", "in.zarr", "--json"))
     assert (facts["kind"], facts["shape"], facts["units"]) == ("store", [3, 40, 48], "pixels")
     assert facts["levels"][0]["shards"] == [3, 32, 32]
 

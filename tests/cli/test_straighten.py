@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +11,7 @@ import pyvips
 import supple
 from supple.files.recipes import read_recipe
 from supple.media import image
-from tests.cli.commands import GRAB, Run, noise, one_line
+from tests.cli.commands import GRAB, Run, noise, one_line, told
 
 KEYSTONE = "6,4:42,6:45,36:3,33"
 CORNERS = ((6, 4), (42, 6), (45, 36), (3, 33))
@@ -83,9 +82,7 @@ def test_recipes_keep_it_and_options_change_parts_of_it(run: Run, here: Path) ->
     assert straighten == supple.Straighten(4, scale_to=(30,))
     assert run("warp", "in.png", "b.png", "--recipe", "r.json")[0] == 0
     np.testing.assert_array_equal(image.read("a.png").pixels, image.read("b.png").pixels)
-    status, out, _ = run("warp", "in.png", "c.png", "--recipe", "r.json", "--fit", "pixels", "--fit", "keep", "--json")
-    assert status == 0
-    facts = json.loads(out)
+    facts = told(run("warp", "in.png", "c.png", "--recipe", "r.json", "--fit", "pixels", "--fit", "keep", "--json"))
     assert (facts["width"], facts["height"]) == (30, 25)
     assert facts["within"]
 

@@ -17,7 +17,7 @@ from supple.files.maps import MapFile
 from supple.media import image
 from supple.media import volume as media
 from supple.space.geometry import Geometry
-from tests.cli.commands import GRAB, Run, noise, one_line, pictures
+from tests.cli.commands import GRAB, Run, done, noise, one_line, pictures, told
 
 SHAPE = (12, 16, 14)
 PLACE = Geometry((1.0, 1.5, 2.0), (5.0, -6.0, 7.0), np.eye(3)[[1, 0, 2]], "LPS")
@@ -69,13 +69,6 @@ def head(here: Path) -> npt.NDArray[Any]:
     samples = np.random.default_rng(3).integers(0, 900, SHAPE).astype(np.int16)
     media.write("head.nii.gz", samples, media.Volume(samples, PLACE))
     return samples
-
-
-def told(said: tuple[int, str, str]) -> dict[str, Any]:
-    status, out, err = said
-    assert status == 0, err
-    made: dict[str, Any] = json.loads(out)
-    return made
 
 
 def pixels(name: str) -> npt.NDArray[Any]:
@@ -203,8 +196,7 @@ def test_output_grids(run: Run, asked: Asked, head: npt.NDArray[Any]) -> None:
 def test_several_pictures(run: Run, asked: Asked) -> None:
     pictures("many")
     Path("many/bad.png").unlink()
-    status, out, err = run("warp", "many", "bent", "--affine", SHIFT, "--json", "--crop", "2,3,10,9")
-    assert status == 0, err
+    out = done(run("warp", "many", "bent", "--affine", SHIFT, "--json", "--crop", "2,3,10,9"))
     made = [json.loads(line) for line in out.splitlines()]
     assert len(made) == 2
     for each in made:

@@ -138,8 +138,7 @@ def test_slopes_and_inverse(seed: int, flat: bool) -> None:
 @examples(15)
 @given(st.integers(0, 2**32), st.booleans(), st.sampled_from(["flow", "damp"]))
 def test_no_row_is_below_its_margin(seed: int, flat: bool, on_fold: str) -> None:
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
+    with warnings.catch_warnings(action="ignore"):
         d, _ = drawn(seed, flat=flat, on_fold=on_fold)
     rng = np.random.default_rng(seed)
     axes, n = d.domain.packed(), d.ndim

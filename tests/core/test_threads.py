@@ -106,16 +106,6 @@ def test_two_threads_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
     assert not wrong
 
 
-def test_another_number_of_threads_at_each_call(monkeypatch: pytest.MonkeyPatch) -> None:
-    d = Deformation((100, 120), border=64, on_fold="damp").grab((60, 45), by=(10, 9), radius=30, reach=None)
-    source = np.random.default_rng(0).random((100, 120, 3))
-    made = set()
-    for n in (2, 5, 1, 3, 2, 8):
-        monkeypatch.setenv("SUPPLE_THREADS", str(n))
-        made.add(d.warp(source).tobytes())
-    assert len(made) == 1
-
-
 LONG = {
     "points": """
 from supple._core.rows import numbers

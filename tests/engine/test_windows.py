@@ -22,6 +22,7 @@ from supple.engine.sampling import Sampling
 from supple.engine.stream import make_plan, stream
 from supple.engine.work import Group, Layout, Work
 from tests.engine.streams import COUNT, LAYOUTS, Array, Clip, Frame, bent, layout_of, noise, streamed
+from tests.refusals import refused
 
 pytestmark = pytest.mark.filterwarnings("ignore::supple.FoldWarning")
 
@@ -38,6 +39,14 @@ def kept(monkeypatch: pytest.MonkeyPatch, folder: Path) -> list[Any]:
     monkeypatch.setattr(tempfile, "tempdir", str(folder))
     monkeypatch.setattr(tempfile, "TemporaryFile", spy)
     return made
+
+
+WORK = Work(bent().space, LAYOUTS["4:2:0"], Sampling())
+
+
+def running(frames: Any, memory: float = 0) -> Any:
+    """Return what streams a bent clip, and holds its window in a file where there is no memory."""
+    return stream(WORK, make_plan(WORK, range(COUNT)), frames, memory=memory)
 
 
 def test_what_does_not_fit_in_memory_is_in_a_file(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
@@ -97,16 +106,12 @@ def test_the_file_has_its_size_before_it_is_used(
     if not allocates:
         monkeypatch.delattr(os, "posix_fallocate", raising=False)
     made = kept(monkeypatch, tmp_path)
-    layout = LAYOUTS["4:2:0"]
-    arrays = noise(layout)
-    d = bent()
-    plan = make_plan(Work(d.space, layout, Sampling()), range(COUNT))
-    running = stream(Work(d.space, layout, Sampling()), plan, Clip(arrays), memory=0)
-    next(running)
+    given = running(Clip(noise(WORK.layout)))
+    next(given)
     found = os.fstat(made[0].fileno())
-    assert found.st_size == plan.capacity * (41 * 67 + 21 * 34 * 2)
+    assert found.st_size == make_plan(WORK, range(COUNT)).capacity * (41 * 67 + 21 * 34 * 2)
     assert found.st_blocks * 512 >= found.st_size
-    running.close()
+    given.close()
     assert made[0].closed
     assert not list(tmp_path.iterdir())
 
@@ -140,14 +145,8 @@ def test_a_full_disk(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, kind: str)
                 return full if name in ("write", "flush") else getattr(self.file, name)
 
         monkeypatch.setattr(tempfile, "TemporaryFile", lambda **options: Full(create(**options)))
-    layout = LAYOUTS["4:2:0"]
-    d = bent()
-    plan = make_plan(Work(d.space, layout, Sampling()), range(COUNT))
-    clip = Clip(noise(layout))
-    with pytest.raises(SuppleError, match="No space left on device") as caught:
-        list(stream(Work(d.space, layout, Sampling()), plan, clip, memory=0))
-    assert "TMPDIR" in str(caught.value)
-    assert "\n" not in str(caught.value)
+    clip = Clip(noise(WORK.layout))
+    assert "TMPDIR" in refused(list, running(clip), match="No space left on device")
     assert all(file.closed for file in made)
     assert not list(tmp_path.iterdir())
     assert clip.given == 0
@@ -155,10 +154,7 @@ def test_a_full_disk(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, kind: str)
 
 def test_no_folder_for_the_file(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "nowhere"))
-    layout = LAYOUTS["4:2:0"]
-    plan = make_plan(Work(bent().space, layout, Sampling()), range(COUNT))
-    with pytest.raises(SuppleError, match="TMPDIR"):
-        list(stream(Work(bent().space, layout, Sampling()), plan, Clip(noise(layout)), memory=0))
+    refused(list, running(Clip(noise(WORK.layout))), match="TMPDIR")
 
 
 @pytest.mark.parametrize("memory", [math.inf, 0])
@@ -166,19 +162,15 @@ def test_a_stream_that_is_left_early_leaves_nothing(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, memory: float
 ) -> None:
     made = kept(monkeypatch, tmp_path)
-    layout = LAYOUTS["4:2:0"]
-    d = bent()
-    arrays = noise(layout)
-    plan = make_plan(Work(d.space, layout, Sampling()), range(COUNT))
-    clip = Clip(arrays)
-    running = stream(Work(d.space, layout, Sampling()), plan, clip, memory=memory)
+    clip = Clip(noise(WORK.layout))
+    given = running(clip, memory)
     assert not made
     assert clip.given == 0  # nothing happens before it is asked for
-    z, parts, _ = next(running)
+    z, parts, _ = next(given)
     assert z == 0
     watched = [weakref.ref(part) for part in parts]
     assert len(made) == (memory == 0)
-    running.close()
+    given.close()
     del parts
     gc.collect()
     assert all(file.closed for file in made)
@@ -186,21 +178,19 @@ def test_a_stream_that_is_left_early_leaves_nothing(
     assert all(ref() is None for ref in watched)
     assert clip.given < COUNT
     with pytest.raises(StopIteration):
-        next(running)
+        next(given)
 
 
 @pytest.mark.parametrize("memory", [math.inf, 0])
 @pytest.mark.parametrize("have", [0, 1, 5, COUNT - 1])
 def test_a_clip_that_ends_early(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, have: int, memory: float) -> None:
     made = kept(monkeypatch, tmp_path)
-    layout = LAYOUTS["4:2:0"]
-    d = bent()
-    arrays = noise(layout)
-    whole, plan, _ = streamed(d.space, layout, arrays)
+    arrays = noise(WORK.layout)
+    whole, plan, _ = streamed(WORK.space, WORK.layout, arrays)
     seen = []
 
     def follow() -> None:
-        for z, parts, _ in stream(Work(d.space, layout, Sampling()), plan, Clip(arrays, have), memory=memory):
+        for z, parts, _ in running(Clip(arrays, have), memory):
             np.testing.assert_array_equal(parts[0], whole[0][z])
             seen.append(z)
 
@@ -213,16 +203,13 @@ def test_a_clip_that_ends_early(monkeypatch: pytest.MonkeyPatch, tmp_path: Path,
 
 def test_a_reader_that_fails() -> None:
     """Its error comes through as it is."""
-    layout = LAYOUTS["4:2:0"]
-    d = bent()
-    plan = make_plan(Work(d.space, layout, Sampling()), range(COUNT))
 
     def frames() -> Iterator[Frame]:
-        yield from list(Clip(noise(layout)))[:0]
+        yield from list(Clip(noise(WORK.layout)))[:0]
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        list(stream(Work(d.space, layout, Sampling()), plan, frames()))
+        list(running(frames(), math.inf))
 
 
 class Endless:

@@ -26,6 +26,7 @@ from supple.media.stores.image import open_image  # noqa: E402
 from supple.media.stores.target import Target  # noqa: E402
 from supple.media.transforms import ngff  # noqa: E402
 from tests.effort import soak  # noqa: E402
+from tests.refusals import refused  # noqa: E402
 
 pytestmark = pytest.mark.usefixtures("here")
 
@@ -350,14 +351,12 @@ def test_a_job_that_is_interrupted_goes_on(
     options = VolumeOptions(save_field=f"{base}map.zarr")
     with monkeypatch.context() as patch:
         failing(patch, name, count)
-        with pytest.raises(SuppleError, match="end of the world"):
-            warp_file("in.zarr", f"{base}out.zarr", DEEP, volume=options)
+        refused(warp_file, "in.zarr", f"{base}out.zarr", DEEP, volume=options, match="end of the world")
     if where == "folder":
         assert not os.path.exists("out.zarr")
         assert not os.path.exists("map.zarr")
     else:
-        with pytest.raises(SuppleError, match="unfinished"):
-            open_image(f"{base}map.zarr")
+        refused(open_image, f"{base}map.zarr", match="unfinished")
     with pytest.raises(SuppleError, match=r"another job|exists already"):
         warp_file("in.zarr", f"{base}out.zarr", strokes(1.1e-3), volume=options)
     again = warp_file("in.zarr", f"{base}out.zarr", DEEP, volume=options)
@@ -371,15 +370,13 @@ def test_a_job_that_is_interrupted_goes_on(
     if where == "folder":
         assert sorted(os.listdir()) == ["expected.zarr", "in.zarr", "map.zarr", "out.zarr"]
         assert chunks("map.zarr") == chunks("expected.zarr")
-    with pytest.raises(SuppleError, match="exists already"):
-        warp_file("in.zarr", f"{base}out.zarr", DEEP, volume=options)
+    refused(warp_file, "in.zarr", f"{base}out.zarr", DEEP, volume=options, match="exists already")
 
 
 def test_force_replaces_and_others_are_refused() -> None:
     image("in.zarr", "zyx")
     zarr.create_group("map.zarr")
-    with pytest.raises(SuppleError, match=r"map\.zarr exists already: choose another name"):
-        warp_file("in.zarr", "out.zarr", DEEP, volume=MAP)
+    refused(warp_file, "in.zarr", "out.zarr", DEEP, volume=MAP, match=r"map\.zarr exists already: choose another name")
     assert sorted(os.listdir()) == ["in.zarr", "map.zarr"]
     warp_file("in.zarr", "out.zarr", DEEP, volume=MAP, force=True)
     assert Field.read("map.zarr").values.any()
@@ -395,8 +392,7 @@ def test_force_replaces_and_others_are_refused() -> None:
             warp_file("in.zarr", "out.zarr", DEEP, volume=VolumeOptions(save_field=name), force=True)
     shutil.rmtree("map.zarr")
     Path("map.zarr").mkdir()
-    with pytest.raises(SuppleError, match="no Zarr store"):
-        warp_file("in.zarr", "out.zarr", DEEP, volume=MAP, force=True)
+    refused(warp_file, "in.zarr", "out.zarr", DEEP, volume=MAP, force=True, match="no Zarr store")
 
 
 def test_the_map_of_a_file_that_becomes_a_store() -> None:

@@ -144,8 +144,7 @@ def test_options_reach_the_sampler_and_the_encoder(run: Run) -> None:
     strokes = ["--grab", "5,20,3:30,22,6", "--radius", "15", "--border", "none", "--quiet"]
     assert run("warp", "in.mkv", "out.mkv", *strokes, *options, "cubic", *more) == (0, "", "")
     d = supple.Deformation(frames.shape[:3], border=None, spacing=(1, 1, 2), time=True)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", supple.FoldWarning)
+    with warnings.catch_warnings(action="ignore", category=supple.FoldWarning):
         d = d.grab((5, 20, 3), to=(30, 22, 6), radius=15)
     settings: dict[str, Any] = {"filter": "linear", "outside": "constant", "fill": fill, "tolerance": 0.1}
     expected = d.warp(frames, **settings, between="cubic", time_filter=True)

@@ -205,10 +205,8 @@ def test_all_outputs_or_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     assert str(caught.value) == f"cannot write {names['status']}: the disk is full: make room"
     assert (sorted(os.listdir(tmp_path)), os.listdir(tmp_path / "deep")) == (["deep", "u.mha"], ["s.nii"])
     assert names["status"].read_text() == "before"
-    with warnings.catch_warnings():
-        warnings.simplefilter("error", FoldWarning)  # as --strict does
-        with pytest.raises(FoldWarning):
-            invert_file(source, tmp_path / "v.mha", **names, force=True)
+    with warnings.catch_warnings(action="error", category=FoldWarning), pytest.raises(FoldWarning):  # as --strict does
+        invert_file(source, tmp_path / "v.mha", **names, force=True)
     assert sorted(os.listdir(tmp_path)) == ["deep", "u.mha"]
     invert_file(source, tmp_path / "v.mha", **names, force=True)
     assert sorted(os.listdir(tmp_path)) == ["deep", "e.nii", "r.json", "u.mha", "v.mha"]

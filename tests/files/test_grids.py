@@ -35,6 +35,7 @@ from supple.files.options import VolumeOptions
 from supple.media import image
 from supple.media import volume as media
 from supple.space.geometry import Geometry
+from tests.refusals import refused
 
 SHAPE = (14, 18, 16)
 DIRECTION = np.array([[0.0, -0.8, 0.6], [1.0, 0.0, 0.0], [0.0, 0.6, 0.8]]) @ np.diag([1.0, -1.0, 1.0])
@@ -159,8 +160,7 @@ class TestMapsOnFiles:
             r"\(the statuses of supple invert show where\)$"
         )
         options = VolumeOptions(save_field="field.mha")  # of the same map: it is not told of twice
-        with warnings.catch_warnings(record=True) as caught:
-            warnings.simplefilter("always")
+        with warnings.catch_warnings(record=True, action="always") as caught:
             done = warp_file("in.nii", "out.nii", EMPTY, maps=[placed], filter="linear", volume=options)
         assert done.folded + done.unsolved > 0
         assert {each.category for each in caught} <= {FoldWarning, OutsideWarning}
@@ -170,14 +170,13 @@ class TestMapsOnFiles:
         flat = np.zeros((40, 50, 2), np.float32)
         flat[:, 25:, 0] = -6.0
         maps = [Placed(Field(flat, Grid((40, 50))), True, after=1)]
-        with warnings.catch_warnings(record=True) as caught:
-            warnings.simplefilter("always")
+        with warnings.catch_warnings(record=True, action="always") as caught:
             picture = warp_file("in.png", "out.png", FLAT, maps=maps)
         (text,) = (str(each.message) for each in caught if each.category is FoldWarning)
         assert text.startswith("the field folds in 39 of its 1,911 cells: ")
         assert picture.folded + picture.unsolved > 0
-        with warnings.catch_warnings():
-            warnings.simplefilter("error", FoldWarning)  # which would be that of the field once more
+        with warnings.catch_warnings(action="error", category=FoldWarning):
+            # which would be that of the field once more
             picture.report()
 
     def test_a_field_that_is_saved(self, here: Path) -> None:
@@ -360,8 +359,7 @@ class TestRefusals:
         ],
     )
     def test_options(self, options: dict[str, Any], said: str) -> None:
-        with pytest.raises(SuppleError, match=said):
-            GridOptions(**options)
+        refused(GridOptions, **options, match=said)
 
     @pytest.mark.parametrize(
         ("options", "said"),
@@ -373,8 +371,7 @@ class TestRefusals:
     )
     def test_arguments(self, here: Path, options: dict[str, Any], said: str) -> None:
         pictured("in.png", 40, 50, 3)
-        with pytest.raises(SuppleError, match=said):
-            warp_file("in.png", "out.png", replace(FLAT, size=(25, 20)), **options)
+        refused(warp_file, "in.png", "out.png", replace(FLAT, size=(25, 20)), **options, match=said)
         assert not Path("out.png").exists()
 
     def test_pictures_of_scenes_and_of_the_published_method(self) -> None:
@@ -385,8 +382,7 @@ class TestRefusals:
         with pytest.raises(SuppleError, match="a scene is bent by strokes alone"):
             Scene(voxels(), deformation=Deformation(SHAPE).affine(shift))
         flat = Deformation((40, 50)).affine([[1, 0, 1], [0, 1, 0]])
-        with pytest.raises(SuppleError, match="the published method inverts strokes alone"):
-            measure.iterations(flat)
+        refused(measure.iterations, flat, match="the published method inverts strokes alone")
         errors = measure.residual(flat)
         assert errors.distance.max() < 1e-6
         np.testing.assert_allclose(measure.sources(flat)[1][3, 4], (5, 3))

@@ -17,7 +17,8 @@ from supple.errors import SuppleError, VolumeWarning
 from supple.files.landmarks import move_points, read_landmarks
 from supple.media.points import check_target, read_points, write_points
 from supple.space.geometry import Geometry
-from tests.media.landmarks import Floats, fcsv, markup, markups, read, refused
+from tests.media.landmarks import Floats, fcsv, markup, markups, read
+from tests.refusals import refused
 
 SHAPE = (24, 30, 28)
 SPACING = (0.9, 1.1, 1.4)

@@ -14,6 +14,7 @@ import supple
 from supple.files import warp_file
 from supple.files.recipes import read_recipe, write_recipe
 from supple.media import image
+from tests.refusals import refused
 
 DATA = Path(supple.__file__).parent / "examples" / "data"
 RECIPE = supple.Recipe(border=10, strokes=(supple.Stroke.grab((30, 20), to=(36, 24), radius=15),))
@@ -74,18 +75,14 @@ def test_progress_on_no_terminal_is_silent(tmp_path: Path, capsys: pytest.Captur
 def test_recipes_on_disk(tmp_path: Path) -> None:
     write_recipe(tmp_path / "r.json", RECIPE)
     assert read_recipe(tmp_path / "r.json") == RECIPE
-    with pytest.raises(supple.SuppleError, match="force"):
-        write_recipe(tmp_path / "r.json", RECIPE)
+    refused(write_recipe, tmp_path / "r.json", RECIPE, match="force")
     for name in ("r.png", "r.MP4", "r.nii.gz"):
-        with pytest.raises(supple.SuppleError, match=r"a recipe is JSON, .*: use .*r\.json$"):
-            write_recipe(tmp_path / name, RECIPE)
+        refused(write_recipe, tmp_path / name, RECIPE, match=r"a recipe is JSON, .*: use .*r\.json$")
     assert os.listdir(tmp_path) == ["r.json"]
     (tmp_path / "marked.json").write_text("\ufeff" + RECIPE.to_json(), encoding="utf-8")
     assert read_recipe(tmp_path / "marked.json") == RECIPE
-    with pytest.raises(supple.SuppleError, match="JSON"):
-        read_recipe(tmp_path)
-    with pytest.raises(supple.SuppleError, match="name"):
-        read_recipe("a\0b")
+    refused(read_recipe, tmp_path, match="JSON")
+    refused(read_recipe, "a\0b", match="name")
 
 
 def test_the_photographs_are_small_and_their_licences_named() -> None:

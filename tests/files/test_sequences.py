@@ -112,13 +112,6 @@ def test_pictures_for_strokes_with_a_time_are_refused_once(run: Run) -> None:
         assert f"{given[0]} stands for several pictures: give the pattern of a numbered sequence" in err
 
 
-def test_a_name_with_signs_of_a_file_that_is_there_is_a_name(run: Run) -> None:
-    pictures(".", 1, "photo##.png")
-    assert run("warp", "photo##.png", "out.png", *GRAB_2D) == (0, "", "")
-    pictures(".", 1, "icon@2x.png")
-    assert run("warp", "icon@2x.png", "icon@3x.png", *GRAB_2D) == (0, "", "")
-
-
 def test_gaps_of_frames_are_said_once(here: Path) -> None:
     for k in range(3):
         pixels = np.zeros((24, 32, 3), np.float32)

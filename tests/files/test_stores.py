@@ -396,8 +396,7 @@ def test_labels_outside_are_background() -> None:
     zarr.open_group("in.zarr").create_group("labels", attributes={"ome": {"version": "0.5", "labels": ["nuclei"]}})
     ome("in.zarr/labels/nuclei", "0.5", "zyx", (9, 28, 30), (4, 16, 16), dtype="uint8")
     shift = Placed(Affine(np.c_[np.eye(3), (60, 0, 0)]))
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
+    with warnings.catch_warnings(action="ignore"):
         made = warp_file("in.zarr", "out.zarr", Recipe(strokes=[]), maps=(shift,), outside="constant", fill=300)
     assert set(np.unique(arrays(made.target)[0])) == {300}
     assert set(np.unique(arrays("out.zarr/labels/nuclei")[0])) == {0}

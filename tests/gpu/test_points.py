@@ -37,8 +37,7 @@ def grabs(
     reach = rest.pop("reach", None)
     d = supple.Deformation(shape, border=border, spacing=spacing, **{"on_fold": "damp", **rest})
     for _ in range(count):
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", FoldWarning)
+        with warnings.catch_warnings(action="ignore", category=FoldWarning):
             d = d.grab(
                 rng.uniform(0.2, 0.8, len(shape)) * size,
                 by=rng.normal(0, 0.06, len(shape)) * size,

@@ -240,7 +240,6 @@ def test_rays_of_very_many_samples(gpu: Gpu, cloud: np.ndarray, bent: supple.Def
         Scene(cloud, GEOMETRY, deformation=bent, transfer=fog, mode="exact", step=0.004, device=device)
         for device in ("cpu", "gpu")
     )
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DeviceWarning)  # whoever does it, it is right
+    with warnings.catch_warnings(action="ignore", category=DeviceWarning):  # whoever does it, it is right
         made = theirs.render(size=(3, 4))
     np.testing.assert_allclose(made.light, ours.render(size=(3, 4)).light, atol=0.01)

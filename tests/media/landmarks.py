@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-import pytest
 
-from supple import SuppleError
 from supple.media.meshes import PointFile
 from supple.media.points import read_points, write_points
 
@@ -60,11 +57,3 @@ def rewritten(tmp_path: Path, file: PointFile, points: npt.ArrayLike, **options:
     out = tmp_path / f"out{Path(file.name).suffix}"
     write_points(out, points, file, force=True, **options)
     return out.read_bytes().decode()
-
-
-def refused(action: Callable[..., object], *args: Any, **options: Any) -> str:
-    with pytest.raises(SuppleError) as caught:
-        action(*args, **options)
-    message = str(caught.value)
-    assert message.isprintable()
-    return message

@@ -227,8 +227,7 @@ def test_quality_is_of_each_frame(tmp_path):
 def test_what_is_animated_stays_so(tmp_path, source, target, kind):
     saved(tmp_path / source, drawn(4 if source[0] == "a" else 1, alpha=False), times=TIMES if source[0] == "a" else 70)
     assert opened(tmp_path / source, tmp_path / target).kind == kind
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", PageWarning)
+    with warnings.catch_warnings(action="ignore", category=PageWarning):
         warp_file(tmp_path / source, tmp_path / target, DRAG)
     assert len(frames_of(tmp_path / target)[0]) == (4 if kind == "clip" else 1)
 

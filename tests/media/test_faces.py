@@ -11,9 +11,9 @@ import pytest
 import pyvips
 
 import supple
-from supple.errors import SuppleError
 from supple.media import image
 from supple.media.faces import Face, named, read_faces
+from tests.refusals import refused
 
 MESH = Path(__file__).parent.parent / "files" / "astronaut.json"
 MARKS = Path(supple.__file__).parent / "examples" / "data" / "astronaut.pts"
@@ -132,8 +132,6 @@ def test_landmarks_on_stored_pixels_are_turned_with_the_picture(tmp_path: Path, 
 )
 def test_refusals(tmp_path: Path, name: str, text: str, says: str) -> None:
     (tmp_path / name).write_text(text)
-    with pytest.raises(SuppleError) as error:
-        read_faces(tmp_path / name, (100, 90), picture="a.png")
-    assert says in str(error.value)
-    assert "\n" not in str(error.value)
-    assert name in str(error.value)
+    told = refused(read_faces, tmp_path / name, (100, 90), picture="a.png")
+    assert says in told
+    assert name in told

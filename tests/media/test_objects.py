@@ -300,8 +300,7 @@ def test_a_registration_of_simpleitk_warps_as_simpleitk_does() -> None:
 
 
 def test_what_a_call_says_is_at_the_line_of_the_caller() -> None:
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
+    with warnings.catch_warnings(record=True, action="always") as caught:
         Deformation(supple.grid_of(IMAGE), border=None).grab((14, 12, 10), by=(9, 0, 0), radius=2).warp(
             IMAGE, tolerance=1e-6
         )

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from supple.media.points import read_points
-from tests.media.landmarks import fcsv, markup, markups, read, refused, rewritten
+from tests.media.landmarks import fcsv, markup, markups, read, rewritten
+from tests.refusals import refused
 
 
 class TestSlicersLists:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import warnings
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -14,13 +13,14 @@ import numpy.typing as npt
 import pytest
 import SimpleITK as sitk  # noqa: N813
 
-from supple import Deformation, Recipe, Stroke, SuppleError
+from supple import Deformation, Recipe, Stroke
 from supple.files import warp_file
 from supple.files.options import VolumeOptions
 from supple.files.transforms import displacement_of, write_transform
 from supple.media.transforms import SUFFIXES_OUT, check_target, write_field
 from supple.space.geometry import Geometry
 from tests.media.transforms.mapping import rotation
+from tests.refusals import refused
 
 Array = npt.NDArray[Any]
 
@@ -90,8 +90,7 @@ def test_itk_applies_the_field_of_a_nifti_to_the_volume_as_it_reads_it(tmp_path:
     made.to_filename(tmp_path / "in.nii")
     grab = [Stroke.grab((12, 14, 9), to=(16, 17, 11), radius=8)]
     options = VolumeOptions(save_field=tmp_path / "field.nii")
-    with warnings.catch_warnings(record=True) as told:
-        warnings.simplefilter("always")
+    with warnings.catch_warnings(record=True, action="always") as told:
         warp_file(
             tmp_path / "in.nii", tmp_path / "out.nii", Recipe(strokes=grab), filter="linear", volume=options,
             tolerance=1e-4,
@@ -147,14 +146,6 @@ def test_small_displacements_keep_their_digits_far_from_the_first_voxel() -> Non
     field = displacement_of(deformation, Geometry(), tolerance=1e-9)
     expected = deformation.inverse((3990, 1, 0)).points - (3990, 1, 0)
     np.testing.assert_allclose(field[0, 1, 3990], expected, atol=2e-6)  # in float32, 3990 is off by up to 1e-4
-
-
-def refused(action: Callable[..., object], *args: Any, **options: Any) -> str:
-    with pytest.raises(SuppleError) as caught:
-        action(*args, **options)
-    message = str(caught.value)
-    assert "\n" not in message
-    return message
 
 
 FIELD = np.zeros((2, 3, 4, 3), np.float32)

@@ -9,11 +9,12 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from supple import Deformation, SuppleError
+from supple import Deformation
 from supple.plot import clip_sheet, clip_slice, draw_sheet, draw_slice, figure
 from supple.plot.clip import evenly
 from supple.plot.frame import check_plot
 from tests import effort
+from tests.refusals import refused
 
 Array = npt.NDArray[Any]
 
@@ -105,15 +106,10 @@ def test_both_are_written_whole_or_not_at_all(tmp_path: Path) -> None:
     cut, frames = noise(6, 9, 3), [(3, noise(9, 7, 3))]
     for name in ("a.png", "b.svg", "c.pdf"):
         draw_slice(cut, cut, 3, tmp_path / name)
-        with pytest.raises(SuppleError, match="exists"):
-            draw_sheet(frames, frames, tmp_path / name)
+        refused(draw_sheet, frames, frames, tmp_path / name, match="exists")
         draw_sheet(frames, frames, tmp_path / name, force=True)
-        with pytest.raises(SuppleError, match="exists"):
-            check_plot(tmp_path / name)
-    with pytest.raises(SuppleError, match=r"must end in \.png, \.svg, \.pdf"):
-        check_plot(tmp_path / "a.jpg")
-    with pytest.raises(SuppleError, match=r"one shape, found \(6, 9, 3\) and \(5, 9, 3\)"):
-        draw_slice(cut, cut[:5], 3, tmp_path / "d.png")
-    with pytest.raises(SuppleError, match="as many frames, found 1 and 0"):
-        draw_sheet(frames, [], tmp_path / "d.png")
+        refused(check_plot, tmp_path / name, match="exists")
+    refused(check_plot, tmp_path / "a.jpg", match=r"must end in \.png, \.svg, \.pdf")
+    refused(draw_slice, cut, cut[:5], 3, tmp_path / "d.png", match=r"one shape, found \(6, 9, 3\) and \(5, 9, 3\)")
+    refused(draw_sheet, frames, [], tmp_path / "d.png", match="as many frames, found 1 and 0")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.png", "b.svg", "c.pdf"]

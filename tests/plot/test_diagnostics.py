@@ -21,6 +21,7 @@ from supple.plot.frame import background, paths
 from supple.plot.measure import footprints, grid, iterations, residual, sources, spacing_of, stretch
 from tests import effort
 from tests.children import SOURCE
+from tests.refusals import refused
 
 FIG_6_1B = Deformation((512, 512), border=None, on_fold="damp").grab((256, 256), by=(0, 90), radius=100, reach=None)
 VIDEO = Deformation((30, 48, 64), border=8, spacing=(1.0, 1.0, 1.5), on_fold="damp").grab(
@@ -196,8 +197,7 @@ def test_every_plot_is_written(what: str, tmp_path: Path) -> None:
         plot(SMALL, what, tmp_path / name, image=image)
         assert (tmp_path / name).stat().st_size > 5000
     assert (tmp_path / "a.png").read_bytes().startswith(b"\x89PNG")
-    with pytest.raises(SuppleError, match="exists"):
-        plot(SMALL, what, tmp_path / "a.png")
+    refused(plot, SMALL, what, tmp_path / "a.png", match="exists")
     if effort.ALL or WHATS.index(what) % 2:
         plot(Deformation((60, 80), border=64, on_fold="damp"), what, tmp_path / "a.png", force=True)
     assert sorted(path.name for path in tmp_path.iterdir()) == names
@@ -251,18 +251,13 @@ def test_values_beyond_a_unit_are_spread() -> None:
 
 
 def test_what_cannot_be_drawn_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(SuppleError, match=r'what must be "iterations" or .*, found \'heat\''):
-        plot(SMALL, "heat", tmp_path / "a.png")
+    refused(plot, SMALL, "heat", tmp_path / "a.png", match=r'what must be "iterations" or .*, found \'heat\'')
     with pytest.raises(SuppleError, match="three axes"):
         plot(Deformation((5, 60, 80), border=64, on_fold="damp"), "grid", tmp_path / "a.png")
-    with pytest.raises(SuppleError, match=r"must end in \.png, \.svg, \.pdf"):
-        plot(SMALL, "grid", tmp_path / "a.gif")
-    with pytest.raises(SuppleError, match="folder"):
-        plot(SMALL, "grid", tmp_path / "missing" / "a.png")
-    with pytest.raises(SuppleError, match="shape"):
-        plot(SMALL, "grid", tmp_path / "a.png", image=np.zeros((61, 80)))
-    with pytest.raises(SuppleError, match="grey, RGB or RGBA"):
-        plot(SMALL, "grid", tmp_path / "a.png", image=np.zeros((60, 80, 5)))
+    refused(plot, SMALL, "grid", tmp_path / "a.gif", match=r"must end in \.png, \.svg, \.pdf")
+    refused(plot, SMALL, "grid", tmp_path / "missing" / "a.png", match="folder")
+    refused(plot, SMALL, "grid", tmp_path / "a.png", image=np.zeros((61, 80)), match="shape")
+    refused(plot, SMALL, "grid", tmp_path / "a.png", image=np.zeros((60, 80, 5)), match="grey, RGB or RGBA")
     assert list(tmp_path.iterdir()) == []
 
 
@@ -306,12 +301,9 @@ def test_every_plot_of_a_frame_is_written(what: str, tmp_path: Path) -> None:
 
 def test_frames_that_are_not_there_are_refused(tmp_path: Path) -> None:
     for k in (-1, 30, 1.5, "1", True):
-        with pytest.raises(SuppleError, match="frame must be a frame from 0 to 29, found"):
-            plot(VIDEO, "grid", tmp_path / "a.png", frame=k)  # type: ignore[arg-type]
-    with pytest.raises(SuppleError, match=r"three axes: say which by frame=0"):
-        plot(VIDEO, "grid", tmp_path / "a.png")
-    with pytest.raises(SuppleError, match="frame is for videos"):
-        plot(SMALL, "grid", tmp_path / "a.png", frame=0)
+        refused(plot, VIDEO, "grid", tmp_path / "a.png", frame=k, match="frame must be a frame from 0 to 29, found")
+    refused(plot, VIDEO, "grid", tmp_path / "a.png", match=r"three axes: say which by frame=0")
+    refused(plot, SMALL, "grid", tmp_path / "a.png", frame=0, match="frame is for videos")
     with pytest.raises(SuppleError, match=r"frame to plot on must be of shape \(48, 64\[, C\]\), found \(30, 48, 64\)"):
         plot(VIDEO, "grid", tmp_path / "a.png", frame=0, image=np.zeros(VIDEO.shape))
     assert list(tmp_path.iterdir()) == []

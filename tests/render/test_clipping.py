@@ -7,9 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pytest
-from scipy import ndimage
 
 import supple
 from supple.files.jobs import Job
@@ -21,31 +19,29 @@ from supple.render.scene import MODES, Scene
 from supple.render.transfer import TransferFunction
 from supple.space.geometry import Geometry
 from tests.children import ROOT
+from tests.refusals import refused
+from tests.render import scenes
+from tests.render.scenes import SHAPE, SOFT, cloud
 from tests.render.test_files import stored
 
-SHAPE, SIZE = (24, 30, 28), (48, 60)
+SIZE = (48, 60)
 GEOMETRY = Geometry((0.9, 1.0, 1.3))
-SOFT = TransferFunction(((0.2, 1.0, 0.2, 0.1, 0.0), (0.5, 0.9, 0.5, 0.3, 0.2), (1.0, 1.0, 1.0, 1.0, 0.6)))
 SOLID = TransferFunction(((0.0, 1.0, 1.0, 1.0, 1.0),))
 CLIP = ((6, 20), (8, None), (None, 17))
 CAMERAS = (Camera(35, 20, distance=90), Camera(-150, -40, distance=90, roll=30))
 
 
-def cloud() -> npt.NDArray[np.float32]:
-    made = ndimage.gaussian_filter(np.random.default_rng(5).normal(size=SHAPE), 2, mode="constant")
-    made -= made.min()
-    return np.asarray(made / made.max(), np.float32)
+CLOUD = cloud(seed=5, width=2)
 
 
 @pytest.fixture
 def bent() -> supple.Deformation:
-    d = supple.Deformation(SHAPE, spacing=GEOMETRY.spacing, border=None, on_fold="damp")
-    return d.grab((14, 15, 12), by=(4, -2, 3), radius=9)
+    return scenes.bent(GEOMETRY.spacing)
 
 
 @pytest.mark.parametrize("mode", MODES)
 def test_the_box_of_the_whole_volume_changes_no_bit(bent: supple.Deformation, mode: str) -> None:
-    scene = Scene(cloud(), GEOMETRY, deformation=bent, transfer=SOFT, mode=mode)
+    scene = Scene(CLOUD, GEOMETRY, deformation=bent, transfer=SOFT, mode=mode)
     assert scene.clip == ((0, 27), (0, 29), (0, 23))
     for clip in (((None, None),) * 3, ((0, 27), (0, 29), (0, 23))):
         other = scene.clipped(clip)
@@ -58,8 +54,8 @@ def test_the_box_of_the_whole_volume_changes_no_bit(bent: supple.Deformation, mo
 
 def test_a_clipped_scene_is_the_scene_that_is_made_so(bent: supple.Deformation) -> None:
     options: dict[str, Any] = {"deformation": bent, "transfer": SOFT, "mode": "buffered"}
-    scene = Scene(cloud(), GEOMETRY, **options)
-    made = Scene(cloud(), GEOMETRY, clip=CLIP, **options)
+    scene = Scene(CLOUD, GEOMETRY, **options)
+    made = Scene(CLOUD, GEOMETRY, clip=CLIP, **options)
     cut = scene.clipped(CLIP)
     assert (cut.samples is scene.samples, cut.clip, scene.clip[0]) == (True, made.clip, (0, 27))
     whole, other = scene.render(CAMERAS[0], SIZE), made.render(CAMERAS[0], SIZE)
@@ -132,10 +128,7 @@ def test_a_box_is_an_array_or_nested_sequences(clip: Any) -> None:
     ],
 )
 def test_other_arrays_are_refused_on_one_line(clip: Any, found: str) -> None:
-    with pytest.raises(supple.SuppleError) as raised:
-        box_of(clip, (9, 8, 7))
-    assert str(raised.value).startswith(f"clip must be {found}")
-    assert len(str(raised.value).splitlines()) == 1
+    assert refused(box_of, clip, (9, 8, 7)).startswith(f"clip must be {found}")
 
 
 def test_the_gpu_lights_as_the_core_does() -> None:
@@ -199,9 +192,9 @@ def test_a_box_without_voxels_or_beyond_the_volume_is_refused() -> None:
         (((9, 4), (None, None), (None, None)), "crop must be from a lower to a higher voxel"),
     ):
         with pytest.raises(supple.SuppleError, match=told):
-            cropped(cloud(), crop, SOFT)
+            cropped(CLOUD, crop, SOFT)
     with pytest.raises(supple.SuppleError, match="all is visible"):
-        cropped(cloud(), ((4, 9), (None, None), (None, None)), SOLID)
+        cropped(CLOUD, ((4, 9), (None, None), (None, None)), SOLID)
 
 
 def test_what_is_left_before_the_end_of_a_ray_is_seen() -> None:

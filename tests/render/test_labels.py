@@ -23,6 +23,7 @@ from supple.render.picture import Rendering
 from supple.render.scene import Scene
 from supple.render.transfer import TransferFunction, transfer_of
 from supple.space.geometry import Geometry
+from tests.refusals import refused
 
 Floats = npt.NDArray[np.float64]
 
@@ -252,8 +253,7 @@ def test_tables_of_slicer_freesurfer_and_itk_snap_are_read() -> None:
     ],
 )
 def test_other_tables_are_refused_with_their_line(text: str, told: str) -> None:
-    with pytest.raises(SuppleError, match=told):
-        LabelColours.from_text(text, "t.ctbl")
+    refused(LabelColours.from_text, text, "t.ctbl", match=told)
 
 
 def test_a_table_that_is_written_is_read_as_it_was(tmp_path: Path) -> None:
@@ -262,11 +262,9 @@ def test_a_table_that_is_written_is_read_as_it_was(tmp_path: Path) -> None:
     read = transfer_of(tmp_path / "a.ctbl")
     assert isinstance(read, LabelColours)
     np.testing.assert_allclose(read.of(labels), LabelColours().of(labels), atol=0.5 / 255 + 1e-9)
-    with pytest.raises(SuppleError, match=r"cannot read .*none.ctbl.*name a colour table"):
-        transfer_of(tmp_path / "none.ctbl")
+    refused(transfer_of, tmp_path / "none.ctbl", match=r"cannot read .*none.ctbl.*name a colour table")
     (tmp_path / "a.ctbl").write_bytes(b"1 \xff 0 0 0 255\n")
-    with pytest.raises(SuppleError, match="UTF-8"):
-        transfer_of(tmp_path / "a.ctbl")
+    refused(transfer_of, tmp_path / "a.ctbl", match="UTF-8")
 
 
 def test_colours_of_the_palette_are_distinct_and_do_not_change() -> None:
@@ -321,8 +319,7 @@ def test_faces_of_a_block_have_their_colours(dtype: Any, channels: int) -> None:
     ],
 )
 def test_what_are_no_colours_is_refused(samples: npt.NDArray[Any], told: str) -> None:
-    with pytest.raises(SuppleError, match=told):
-        Scene(samples)
+    refused(Scene, samples, match=told)
 
 
 SEGMENTS = {
@@ -384,5 +381,4 @@ def test_labels_below_zero_and_far_apart_have_colours_of_their_own() -> None:
         assert away.min() > 0.02
     read = LabelColours.from_text(LabelColours().to_ctbl(many))
     np.testing.assert_allclose(read.of(many)[:, :3], colours, atol=0.5 / 255 + 1e-9)
-    with pytest.raises(SuppleError, match="labels must be whole numbers up to"):
-        labels_in(np.array([[[1, 1 << 63]]], np.uint64))
+    refused(labels_in, np.array([[[1, 1 << 63]]], np.uint64), match="labels must be whole numbers up to")

@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 from scipy import ndimage
 
@@ -22,33 +21,11 @@ from supple.render.camera import Camera
 from supple.render.scene import Scene
 from supple.render.transfer import TransferFunction
 from supple.space.geometry import Geometry
+from tests.render.scenes import CAMERA, HARD, OBLIQUE, SHAPE, ball, bent, cloud
 from tests.render.test_files import head, stored
 
-SHAPE, SIZE = (24, 30, 28), (30, 36)
-OBLIQUE = Geometry(
-    (1.0, 1.2, 1.5), (10.0, -20.0, 5.0), np.array([[0.0, -0.8, 0.6], [1.0, 0.0, 0.0], [0.0, 0.6, 0.8]]) * [1, -1, 1]
-)
-CAMERA = Camera(35, 20, roll=10)
-HARD = TransferFunction(((0.49, 1.0, 0.8, 0.6, 0.0), (0.5, 1.0, 0.8, 0.6, 1.0), (1.0, 1.0, 0.8, 0.6, 1.0)))
+SIZE = (30, 36)
 REDUCE: dict[str, Any] = {"maximum": np.max, "minimum": np.min, "average": np.mean}
-
-
-def cloud(seed: int = 0) -> npt.NDArray[np.float32]:
-    made = ndimage.gaussian_filter(np.random.default_rng(seed).normal(size=SHAPE), 3, mode="constant")
-    made -= made.min()
-    return np.asarray(made / made.max(), np.float32)
-
-
-def ball(centre: tuple[float, float, float], radius: float) -> npt.NDArray[np.float32]:
-    """A ball in the millimetres of OBLIQUE; half of its greatest value at its surface."""
-    grid = np.stack(np.meshgrid(*(np.arange(n) for n in SHAPE), indexing="ij")[::-1], axis=-1)
-    away = np.linalg.norm((grid - centre) * OBLIQUE.spacing, axis=-1)
-    return np.asarray(np.clip(0.5 + (radius - away) / 6, 0, 1), np.float32)
-
-
-def bent() -> supple.Deformation:
-    d = supple.Deformation(SHAPE, spacing=OBLIQUE.spacing, border=None, on_fold="damp")
-    return d.grab((14, 15, 12), by=(4, -2, 3), radius=9)
 
 
 @pytest.mark.parametrize("mode", ["plain", "exact", "buffered"])
@@ -91,7 +68,7 @@ def test_a_projection_is_the_slow_one(projection: str, mode: str) -> None:
 
 
 def test_a_maximum_has_no_box_of_air() -> None:
-    volume = np.maximum(ball((13, 14, 11), 9), 0.03 * np.random.default_rng(1).random(SHAPE).astype(np.float32))
+    volume = np.maximum(ball(9, (13, 14, 11)), 0.03 * np.random.default_rng(1).random(SHAPE).astype(np.float32))
     volume[0, 0, 0], volume[0, 0, 1] = 0, 1  # the window, whatever the noise
     scene = Scene(volume, OBLIQUE, projection="maximum")
     seen = scene.render(CAMERA, (90, 90)).light
@@ -131,7 +108,7 @@ def test_a_plane_along_the_axes_is_a_box(mode: str) -> None:
 
 def test_an_oblique_plane_leaves_what_is_before_it() -> None:
     at, way = np.array([13.0, 15.0, 11.0]), np.array([0.5, -0.8, 0.4])
-    scene = Scene(ball((13, 15, 11), 12), OBLIQUE, transfer=HARD, plane=(tuple(at), tuple(way)), step=0.2)
+    scene = Scene(ball(12, (13, 15, 11)), OBLIQUE, transfer=HARD, plane=(tuple(at), tuple(way)), step=0.2)
     beyond = 0
     for azimuth in range(0, 360, 45):
         camera = Camera(azimuth, 20)
@@ -142,13 +119,13 @@ def test_an_oblique_plane_leaves_what_is_before_it() -> None:
             assert millimetres < 1e-3
             beyond += bool(abs(millimetres) < 1e-3)
     assert beyond > 200  # on the cut face
-    away = Scene(ball((13, 15, 11), 12), OBLIQUE, transfer=HARD, plane=((-90, 15, 11), tuple(OBLIQUE.direction.T[0])))
+    away = Scene(ball(12, (13, 15, 11)), OBLIQUE, transfer=HARD, plane=((-90, 15, 11), tuple(OBLIQUE.direction.T[0])))
     assert not away.render(CAMERA, SIZE).light.any()
 
 
 def test_silhouettes_darken_by_the_angle() -> None:
     centre = (13.0, 14.0, 11.5)
-    plain, dark = (Scene(ball(centre, 13), OBLIQUE, transfer=HARD, silhouettes=s, step=0.2) for s in (0.0, 0.8))
+    plain, dark = (Scene(ball(13, centre), OBLIQUE, transfer=HARD, silhouettes=s, step=0.2) for s in (0.0, 0.8))
     camera = Camera(20, 10)
     one, other, view = plain.render(camera, (60, 60)), dark.render(camera, (60, 60)), plain.view(camera, (60, 60))
     np.testing.assert_array_equal(one.depth, other.depth)
@@ -193,7 +170,7 @@ def test_what_is_visible_is_in_view(mode: str) -> None:
         (8, 9, 8), by=(7, 6, 3), radius=14
     )
     for deformation in (None, d):
-        scene = Scene(ball((8, 9, 8), 7), OBLIQUE, deformation=deformation, transfer=HARD, mode=mode)
+        scene = Scene(ball(7, (8, 9, 8)), OBLIQUE, deformation=deformation, transfer=HARD, mode=mode)
         for azimuth in (0, 70, 200):
             camera = scene.framed(Camera(azimuth, 15), (80, 80))
             alpha = scene.render(camera, (80, 80)).light[..., 3] > 0.5
@@ -203,7 +180,7 @@ def test_what_is_visible_is_in_view(mode: str) -> None:
             whole = scene.render(Camera(azimuth, 15), (80, 80)).light[..., 3] > 0.5
             assert alpha.sum() > 1.5 * whole.sum()
     assert scene.framed(Camera(distance=90, target=(3, 4, 5)), SIZE) == Camera(distance=90.0, target=(3, 4, 5))
-    nothing = Scene(ball((8, 9, 8), 7), OBLIQUE, transfer=HARD, density=(5, 6))
+    nothing = Scene(ball(7, (8, 9, 8)), OBLIQUE, transfer=HARD, density=(5, 6))
     np.testing.assert_allclose(
         nothing.view(nothing.framed(None, SIZE), SIZE).packed, nothing.view(None, SIZE).packed, atol=1e-9
     )

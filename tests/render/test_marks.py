@@ -22,12 +22,11 @@ from supple.media import image
 from supple.render.annotate import annotated
 from supple.render.camera import Bar, Camera, bar_of, sides_of
 from supple.render.scene import Scene
-from supple.render.transfer import TransferFunction
 from supple.space.geometry import Geometry
+from tests.render.scenes import HARD
 
 Array = npt.NDArray[Any]
 
-HARD = TransferFunction(((0.49, 1.0, 0.8, 0.6, 0.0), (0.5, 1.0, 0.8, 0.6, 1.0), (1.0, 1.0, 0.8, 0.6, 1.0)))
 HEAD = Path(supple.__file__).parent / "examples" / "data" / "head.nii.gz"
 TILT = np.radians(20)
 TILTED = np.array([[np.cos(TILT), -np.sin(TILT), 0], [np.sin(TILT), np.cos(TILT), 0], [0, 0, 1]])

@@ -11,7 +11,6 @@ import pytest
 import vtk
 from vtk.util.numpy_support import vtk_to_numpy
 
-import supple
 from supple.cli import command
 from supple.errors import OutsideWarning, SuppleError
 from supple.files.renders import COLOURS, MeshFile, read_surfaces
@@ -21,22 +20,20 @@ from supple.media import image
 from supple.media import volume as media
 from supple.render.camera import Camera
 from supple.render.meshes import Surface
-from supple.render.picture import Rendering, linear_light
+from supple.render.picture import linear_light
 from supple.render.scene import Scene
 from supple.render.transfer import TransferFunction
 from supple.space.geometry import Geometry
-from tests.gpu.scenes import pair
+from tests.gpu.scenes import apart, pair
 from tests.media.meshes import made
 from tests.media.meshes.contours import structures
+from tests.refusals import refused
+from tests.render.scenes import CAMERA, OBLIQUE, SHAPE, ball, bent
 
 Floats = npt.NDArray[np.float64]
 
-SHAPE, SIZE = (24, 30, 28), (37, 46)
-OBLIQUE = Geometry(
-    (1.0, 1.2, 1.5), (10.0, -20.0, 5.0), np.array([[0.0, -0.8, 0.6], [1.0, 0.0, 0.0], [0.0, 0.6, 0.8]]) * [1, -1, 1]
-)
+SIZE = (37, 46)
 STRAIGHT = Geometry((1.0, 1.2, 1.5))
-CAMERA = Camera(35, 20, roll=10)
 CENTRE = (13.5, 14.5, 11.5)
 RED = (1.0, 0.0, 0.0)
 NOTHING = np.zeros(SHAPE, np.uint8)
@@ -62,18 +59,6 @@ def sphere(radius: float, centre: tuple[float, ...] = CENTRE, fine: int = 3, **o
     points *= radius / np.linalg.norm(points, axis=1, keepdims=True)
     faces = np.array(made.faces(clean.GetOutput()))
     return Surface(points / OBLIQUE.spacing + centre, faces, **options)
-
-
-def ball(radius: float) -> npt.NDArray[np.float32]:
-    """A ball in the millimetres of OBLIQUE; half of its greatest value at its surface."""
-    grid = np.stack(np.meshgrid(*(np.arange(n) for n in SHAPE), indexing="ij")[::-1], axis=-1)
-    away = np.linalg.norm((grid - CENTRE) * OBLIQUE.spacing, axis=-1)
-    return np.asarray(np.clip(0.5 + (radius - away) / 6, 0, 1), np.float32)
-
-
-def bent() -> supple.Deformation:
-    d = supple.Deformation(SHAPE, spacing=OBLIQUE.spacing, border=None, on_fold="damp")
-    return d.grab((14, 15, 12), by=(4, -2, 3), radius=9)
 
 
 def rays(scene: Scene, camera: Camera, fine: int = 1) -> tuple[Floats, Floats]:
@@ -237,11 +222,6 @@ def test_projections_are_behind_meshes(gpu: Gpu, device: str) -> None:
     assert (picture.light[~on][:, 0] == picture.light[~on][:, 2]).all()
 
 
-def apart(one: Rendering, other: Rendering) -> float:
-    a, b = (p.pixels((0.1, 0.2, 0.3)).astype(float) for p in (one, other))
-    return float(20 * np.log10(255 / max(1e-3, np.sqrt(np.mean((a - b) ** 2)))))
-
-
 @pytest.mark.parametrize("mode", ["plain", "exact", "buffered", "hybrid"])
 def test_the_gpu_s_picture_is_the_cpu_s(gpu: Gpu, mode: str) -> None:
     given: dict[str, Any] = {"transfer": "grey", "tolerance": 0.05}
@@ -294,9 +274,7 @@ def test_meshes_are_in_view_and_move_with_the_volume() -> None:
     ],
 )
 def test_a_surface_is_checked(told: str, given: dict[str, Any]) -> None:
-    with pytest.raises(SuppleError) as caught:
-        Surface(**{"points": np.eye(3), "triangles": [[0, 1, 2]], **given})
-    assert str(caught.value).startswith(told)
+    assert refused(Surface, **{"points": np.eye(3), "triangles": [[0, 1, 2]], **given}).startswith(told)
     with pytest.raises(SuppleError, match=r"^meshes must be a sequence of surfaces"):
         Scene(NOTHING, meshes=[np.eye(3)])  # type: ignore[list-item]
 

@@ -15,14 +15,13 @@ from supple.render import shadows
 from supple.render.appearance import lamp
 from supple.render.camera import Camera
 from supple.render.scene import Scene
-from supple.render.transfer import TransferFunction
 from supple.space.geometry import Geometry
+from tests.render.scenes import HARD
 
 Floats = npt.NDArray[np.float64]
 
 SIZE = (60, 60)
 SPACING = (1.0, 1.2, 1.5)
-HARD = TransferFunction(((0.49, 1.0, 0.8, 0.6, 0.0), (0.5, 1.0, 0.8, 0.6, 1.0), (1.0, 1.0, 0.8, 0.6, 1.0)))
 ABOVE = Camera(0, 90)
 WAYS = [(0, 0, 1), (0, -1, 0), (0.3, 0.5, -0.9), (-0.8, 0.2, 0.5), (1, 1, 1), (0.5, -0.5, 0)]
 

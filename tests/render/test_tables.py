@@ -52,8 +52,7 @@ def test_without_a_table_nothing_is_said_or_changed(tmp_path: Path, monkeypatch:
     assert without_table(np.full((3, 3, 3), -1000, np.int16), (1, 1, 1))[1] == 0
     monkeypatch.chdir(tmp_path)
     stored("ct.nii", given)
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
+    with warnings.catch_warnings(action="error"):
         render_file(Job("ct.nii", "a.png"), options=RenderOptions(transfer="ct-skin", size=(40, 40)))
 
 
@@ -67,8 +66,7 @@ def test_the_presets_of_ct_leave_it_out_unless_it_is_asked_for(
         VolumeWarning, match=r"% of what is as dense as skin in ct.nii is thin and lies beside the body.*: table"
     ):
         bare = render_file(Job("ct.nii", "a.png"), options=RenderOptions(transfer="ct-skin", size=small))
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
+    with warnings.catch_warnings(action="error"):
         for k, options in enumerate(({"table": True}, {"largest": True}, {"transfer": "grey"})):
             look = RenderOptions(**{"transfer": "ct-skin", **options}, size=small)
             scene = render_file(Job("ct.nii", f"{k}.png"), look)

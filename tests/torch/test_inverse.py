@@ -14,6 +14,7 @@ import supple
 from supple.errors import FoldWarning, OutsideWarning, SuppleError
 from supple.fields import FOLDED, OK, OUTSIDE, Affine, Field
 from tests.effort import pairs
+from tests.refusals import refused
 from tests.torch.shared import DOUBLE, bending, picture, torch
 
 STEPS = (1.0, 1.7, 0.6)
@@ -71,8 +72,7 @@ def test_gradients_of_a_field(shape: tuple[int, ...], beyond: Any, interpolation
     given = field(*shape).requires_grad_()
     batch = len(shape) == 5 or shape[1] == 2
     options: Any = {"spacing": STEPS[: shape[batch]], "interpolation": interpolation, "beyond": beyond}
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", OutsideWarning)
+    with warnings.catch_warnings(action="ignore", category=OutsideWarning):
         status = bending.invert(given, tolerance=1e-9, **options).status
         well = (status == OK) | ((status == OUTSIDE) & (beyond == "edge"))
         well = well.unsqueeze(-len(STEPS[: shape[batch]]) - 1)
@@ -188,9 +188,7 @@ FLAT = torch.zeros(2, 6, 7)
     ],
 )
 def test_what_cannot_be_inverted_is_said(call: Callable[[], object], text: str) -> None:
-    with pytest.raises(SuppleError, match=re.escape(text)) as error:
-        call()
-    assert "\n" not in str(error.value)
+    refused(call, match=re.escape(text))
 
 
 # ---- deformations with fields and affine maps -----------------------------------------------------------------------

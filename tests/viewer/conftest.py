@@ -7,8 +7,12 @@ import shutil
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
+
+if TYPE_CHECKING:
+    from tests.viewer.windows import Boxes
 
 
 @pytest.fixture(autouse=True)
@@ -25,6 +29,14 @@ def _windows_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[No
 def state(tmp_path: Path) -> Path:
     """A folder of its own for all."""
     return tmp_path
+
+
+@pytest.fixture
+def boxes(monkeypatch: pytest.MonkeyPatch) -> Boxes:
+    """The controls of the last frame."""
+    from tests.viewer.windows import watch
+
+    return watch(monkeypatch)
 
 
 @pytest.fixture

@@ -32,8 +32,7 @@ STRONG = stroke(dx=200)
 
 def same(d: Document) -> None:
     """The deformation is that of the recipe, to the last bit."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", FoldWarning)
+    with warnings.catch_warnings(action="ignore", category=FoldWarning):
         expected = Deformation.from_recipe(d.recipe, d.shape, spacing=d.spacing)
     assert d.deformation.space.table.tobytes() == expected.space.table.tobytes()
     assert d.deformation.recipe == expected.recipe

@@ -25,12 +25,8 @@ from supple.viewer.tools.gestures import Tools
 from tests.viewer.sessions import recipe_in, warped
 from tests.viewer.test_tools_slices import bench, middle
 from tests.viewer.test_window_brushes import both
-from tests.viewer.tools import arrived, clip, down, drag, image, move, press, up, wheel
-from tests.viewer.windows import Hand, beside, opened, watch
-
-
-def state(tools: Tools[Any]) -> tuple[object, bytes]:
-    return tools.document.state.content, tools.document.deformation.space.table.tobytes()
+from tests.viewer.tools import arrived, clip, down, drag, image, move, press, state, up, wheel
+from tests.viewer.windows import Boxes, Hand, beside, opened
 
 
 def mask(tools: Tools[Any]) -> np.ndarray:
@@ -552,13 +548,7 @@ class TestAmounts:
         np.testing.assert_allclose(document.deformation.forward((200, 100)), (210, 105), atol=0.05)
         assert document.strokes[1].by == pytest.approx((10 / part, 5 / part), rel=0.01)
 
-    def test_the_sliders(self, gpu: Gpu, grey_photo: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-        found: dict[str, tuple[float, ...]] = {}
-        watch(
-            monkeypatch,
-            "slider_float",
-            lambda name, label, low, high: found.update({label: (low.x, low.y, high.x, high.y)}),
-        )
+    def test_the_sliders(self, gpu: Gpu, grey_photo: Path, boxes: Boxes) -> None:
         view, hand = opened(
             grey_photo, Recipe(strokes=(Stroke.grab((400, 190), by=(100, 0), radius=60),)), size=(900, 1300)
         )
@@ -568,8 +558,7 @@ class TestAmounts:
             hand.canvas.draw()
 
         def at(name: str, part: float) -> tuple[float, float]:
-            left, top, right, bottom = found[name]
-            return left + (part + 1) / 3 * (right - left), 0.5 * (top + bottom)
+            return boxes.at(name, (part + 1) / 3)
 
         hand.drag(at("##strength", 1.0), at("##strength", -0.5))
         assert view.document.strokes[0].strength == pytest.approx(-0.5, abs=0.2)

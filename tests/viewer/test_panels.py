@@ -19,7 +19,7 @@ from supple.strokes.keys import Key
 from supple.viewer.document.editing import Document
 from supple.viewer.document.files import FileCommands
 from supple.viewer.panels.view import WIDE
-from tests.viewer.windows import DATA, SIZE, Hand, handle_of, imgui, opened, watch
+from tests.viewer.windows import DATA, SIZE, Boxes, Hand, imgui, opened, watch
 
 FLAT = (Stroke(at=(200, 120), by=(20, 10), radius=40), Stroke(at=(100, 90), by=(-10, 10), radius=30))
 DEEP = (Stroke(at=(20, 60, 60), by=(3, 0, 1), radius=20),)
@@ -27,13 +27,9 @@ CLICKED: set[tuple[bool, str]] = set()  # controls that a medium before has as w
 
 
 @pytest.fixture
-def seen(monkeypatch: pytest.MonkeyPatch) -> dict[str, tuple[float, float]]:
-    """Where the controls are, by their labels."""
-    found: dict[str, tuple[float, float]] = {}
-    names = "button small_button checkbox combo slider_float slider_int input_float input_text selectable tree_node"
-    names += " invisible_button collapsing_header begin_menu"
-    watch(monkeypatch, names, lambda name, label, *box: found.update({f"{name} {label}": handle_of(*box)}))
-    return found
+def seen(monkeypatch: pytest.MonkeyPatch) -> Boxes:
+    """The controls, by their functions and labels."""
+    return watch(monkeypatch, lambda function, label: f"{function} {label}")
 
 
 SECTIONS = (
@@ -57,9 +53,7 @@ def all_open(tmp_path: Path) -> None:
 
 @pytest.mark.usefixtures("all_open")
 @pytest.mark.parametrize("kind", ["photo", "clip", "moving", "head"])
-def test_every_control_can_be_clicked(
-    gpu: Gpu, seen: dict[str, tuple[float, float]], kind: str, clip: Path, volume: Path
-) -> None:
+def test_every_control_can_be_clicked(gpu: Gpu, seen: Boxes, kind: str, clip: Path, volume: Path) -> None:
     if kind == "photo":
         source, strokes = DATA / "coffee.jpg", FLAT
     elif kind == "moving":
@@ -94,7 +88,7 @@ def test_every_control_can_be_clicked(
         view.sections |= dict.fromkeys(SECTIONS, True)  # what was folded is opened again
         hand.pass_frame()
         before = view.document.state
-        hand.click(seen[label])
+        hand.click(seen.place(label))
         assert view._gui.trouble == "", label
         hand.key("Escape")
         if imgui.is_popup_open("", imgui.PopupFlags_.any_popup):
@@ -130,20 +124,6 @@ def test_what_goes_wrong_does_not_kill_the_window(gpu: Gpu, monkeypatch: pytest.
     for _ in range(3):
         again = hand.canvas.draw()
     assert np.abs(again[:, 660:, :3].astype(int) - whole[:, 660:, :3]).mean() < 4
-
-
-def test_a_window_that_is_closed_without_asking_keeps_all_of_it(gpu: Gpu) -> None:
-    source = DATA / "coffee.jpg"
-    view, hand = opened(source, Recipe(border=None))
-    for k in range(3):
-        hand.drag((200 + 20 * k, 300), (220 + 20 * k, 310))
-    view.close()
-    again, _ = opened(source)
-    assert again.commands.asked.name == "restore"
-    assert again.commands.answer("Restore")
-    assert len(again.recipe.strokes) == 3
-    # What is restored is kept before the offer is put aside.
-    assert len(json.loads(again.commands.autosave.place.read_text())["recipe"]["strokes"]) == 3
 
 
 def test_files_are_replaced_only_when_that_is_said(gpu: Gpu, tmp_path: Path) -> None:
@@ -369,14 +349,12 @@ def type_(hand: Hand, text: str) -> None:
 
 
 @pytest.mark.parametrize("leaving", ["Tab", "Enter", "elsewhere"])
-def test_a_number_that_is_typed_counts_when_it_is_left(
-    gpu: Gpu, seen: dict[str, tuple[float, float]], leaving: str
-) -> None:
+def test_a_number_that_is_typed_counts_when_it_is_left(gpu: Gpu, seen: Boxes, leaving: str) -> None:
     view, hand = opened(DATA / "coffee.jpg", Recipe(border=None, strokes=FLAT), size=(SIZE[0], 1400))
     view.document.select(0)
     view.own = True
     hand.canvas.draw()
-    place, before = seen["input_float ##at0"], FLAT[0].at[0]
+    place, before = seen.place("input_float ##at0"), FLAT[0].at[0]
     hand.click(place)
     type_(hand, "61")
     assert view.document.strokes[0].at[0] == before  # not yet
@@ -392,18 +370,18 @@ def test_a_number_that_is_typed_counts_when_it_is_left(
     assert view.document.strokes[0].at[0] == before  # it is one step
 
 
-def test_options_of_an_export(gpu: Gpu, seen: dict[str, tuple[float, float]], tmp_path: Path, clip: Path) -> None:
+def test_options_of_an_export(gpu: Gpu, seen: Boxes, tmp_path: Path, clip: Path) -> None:
     stroke = Stroke(at=(120, 80, 4), by=(14, 6, 0), radius=40)
     view, hand = opened(clip, Recipe(border=None, strokes=(stroke,)), size=(SIZE[0], 1600))
     view.commands.ask("export")
     for _ in range(3):
         hand.canvas.draw()
     for field, text in (("input_text ##codec", "ffv1"), ("input_float ##time scale", "3")):
-        hand.click(seen[field])
+        hand.click(seen.place(field))
         type_(hand, text)
         hand.key("Enter")
         hand.canvas.draw()
-    hand.click(seen["checkbox ##time filter"])
+    hand.click(seen.place("checkbox ##time filter"))
     assert view.commands.export is None  # Enter in a field of options is for that
     assert view.commands.asked.name == "export"
     clip = view.commands.options["clip"]

@@ -12,31 +12,16 @@ from supple.render.camera import Camera
 from supple.space.freezing import Freeze
 from supple.strokes import Recipe, Stroke
 from supple.viewer.tools.planes import RENDERED
-from tests.viewer.windows import Hand, opened, watch
+from tests.viewer.windows import Boxes, Hand, opened
 
-Places = dict[str, tuple[float, float, float, float]]
 PULL = Stroke.grab((22, 40, 24), by=(2, -5, 3), radius=12)
 
 
 @pytest.fixture
-def places(monkeypatch: pytest.MonkeyPatch) -> Places:
-    """The rectangles of the controls of the last frame, by their names."""
-    found: Places = {}
-    put = lambda name, label, low, high: found.update({label: (low.x, low.y, high.x, high.y)})  # noqa: E731
-    watch(monkeypatch, "button slider_float tree_node", put)
-    return found
-
-
-def at(places: Places, name: str, across: float = 0.5) -> tuple[float, float]:
-    left, top, right, bottom = places[name]
-    return left + across * (right - left), 0.5 * (top + bottom)
-
-
-@pytest.fixture
-def window(gpu: Gpu, volume: Any, places: Places) -> tuple[Any, Hand]:
+def window(gpu: Gpu, volume: Any, boxes: Boxes) -> tuple[Any, Hand]:
     view, hand = opened(volume, Recipe(border=None, strokes=(PULL,)), size=(760, 1000))
     hand.canvas.draw()
-    left, top, _, bottom = places["Cut away"]
+    left, top, _, bottom = boxes["Cut away"]
     hand.click((left + 8, 0.5 * (top + bottom)))
     view.document.mark_saved()
     return view, hand
@@ -51,11 +36,11 @@ def rendering(view: Any, hand: Hand) -> np.ndarray[Any, Any]:
     return seen[top + 30 : top + height - 90, left + 2 : left + width - 30, :3].astype(int)
 
 
-def test_sliders_cut_and_show_all(window: tuple[Any, Hand], places: Places) -> None:
+def test_sliders_cut_and_show_all(window: tuple[Any, Hand], boxes: Boxes) -> None:
     view, hand = window
     sizes = view.tools.sizes
     whole = rendering(view, hand)
-    hand.drag(at(places, "##to1", 0.98), at(places, "##to1", 0.6), steps=3)
+    hand.drag(boxes.at("##to1", 0.98), boxes.at("##to1", 0.6), steps=3)
     (x, (first, last), z) = view.stage.scene.clip
     assert (x, z, first) == ((0, sizes[0] - 1), (0, sizes[2] - 1), 0)
     assert last == round(last) == pytest.approx(0.6 * sizes[1], abs=4)
@@ -63,37 +48,37 @@ def test_sliders_cut_and_show_all(window: tuple[Any, Hand], places: Places) -> N
     cut = rendering(view, hand)
     assert (np.abs(cut - whole).max(axis=-1) > 20).mean() > 0.05
     # The other end stops a voxel before.
-    hand.drag(at(places, "##from1", 0.02), at(places, "##from1", 0.98), steps=3)
+    hand.drag(boxes.at("##from1", 0.02), boxes.at("##from1", 0.98), steps=3)
     assert view.stage.scene.clip[1] == (last - 1, last)
-    hand.click(at(places, "Show all"))
+    hand.click(boxes.at("Show all"))
     assert (view.stage.clip, view.stage.scene.clip[1]) == (None, (0, sizes[1] - 1))
     np.testing.assert_array_equal(rendering(view, hand), whole)
     assert not view.document.can_undo  # what is seen is no step of the document
 
 
-def test_a_half_is_cut_away_up_to_the_crosshair(window: tuple[Any, Hand], places: Places) -> None:
+def test_a_half_is_cut_away_up_to_the_crosshair(window: tuple[Any, Hand], boxes: Boxes) -> None:
     view, hand = window
     tools = view.tools
     tools.sight = tools.sight.at((18, 30, 20), tools.sizes)
     whole = view.stage.scene.clip
     geometry = tools.geometry
     for letter, way in {"A": (0, -1, 0), "P": (0, 1, 0), "L": (1, 0, 0), "R": (-1, 0, 0), "S": (0, 0, 1)}.items():
-        hand.click(at(places, f"{letter}##cut"))
+        hand.click(boxes.at(f"{letter}##cut"))
         box = view.stage.scene.clip
         cross = geometry.to_lps((18, 30, 20))
         gone, left = (geometry.from_lps(cross + sign * 8 * np.array(way)) for sign in (1, -1))
         assert any(not low <= p <= high for p, (low, high) in zip(gone, box, strict=True)), letter
         assert all(low - 1e-9 <= p <= high + 1e-9 for p, (low, high) in zip(left, box, strict=True)), letter
         assert sum(a != b for a, b in zip(box, whole, strict=True)) == 1
-        hand.click(at(places, f"{letter}##cut"))
+        hand.click(boxes.at(f"{letter}##cut"))
         assert view.stage.scene.clip == whole
-    hand.click(at(places, "A##cut"))
-    hand.click(at(places, "P##cut"))  # the other half instead
-    hand.click(at(places, "S##cut"))  # and of this one the lower part
+    hand.click(boxes.at("A##cut"))
+    hand.click(boxes.at("P##cut"))  # the other half instead
+    hand.click(boxes.at("S##cut"))  # and of this one the lower part
     assert sum(a != b for a, b in zip(view.stage.scene.clip, whole, strict=True)) == 2
 
 
-def test_a_pointer_hits_the_cut_face(window: tuple[Any, Hand], places: Places) -> None:
+def test_a_pointer_hits_the_cut_face(window: tuple[Any, Hand], boxes: Boxes) -> None:
     view, hand = window
     tools = view.tools
     tools.sight = tools.sight.at((22, 30, 22), tools.sizes)
@@ -104,7 +89,7 @@ def test_a_pointer_hits_the_cut_face(window: tuple[Any, Hand], places: Places) -
         hand.move(*place)
         hand.canvas.draw()
     before = tools.hover
-    hand.click(at(places, "A##cut"))
+    hand.click(boxes.at("A##cut"))
     for _ in range(2):  # off the panel, which has the pointer until the next frame
         hand.move(*place)
         hand.canvas.draw()
@@ -119,9 +104,9 @@ def test_a_pointer_hits_the_cut_face(window: tuple[Any, Hand], places: Places) -
     assert start[1] == pytest.approx(30, abs=1.5)
 
 
-def test_strokes_tables_and_colours_keep_the_box(window: tuple[Any, Hand], places: Places) -> None:
+def test_strokes_tables_and_colours_keep_the_box(window: tuple[Any, Hand], boxes: Boxes) -> None:
     view, hand = window
-    hand.click(at(places, "A##cut"))
+    hand.click(boxes.at("A##cut"))
     box, stage = view.stage.scene.clip, view.stage
     view.document.add(Stroke.grab((20, 20, 20), by=(2, 1, 0), radius=9))
     assert stage.deform(view.document.deformation).clip == box
@@ -138,7 +123,7 @@ def test_strokes_tables_and_colours_keep_the_box(window: tuple[Any, Hand], place
     assert stage.deform(view.document.deformation).clip == stage._plain.clip != box
 
 
-def test_planes_show_the_box(window: tuple[Any, Hand], places: Places) -> None:
+def test_planes_show_the_box(window: tuple[Any, Hand], boxes: Boxes) -> None:
     view, hand = window
     tools = view.tools
     pane = tools.pane(0)

@@ -19,23 +19,10 @@ from supple.space.geometry import Geometry
 from supple.strokes import Recipe, Stroke
 from supple.viewer.panels.view import WIDE
 from supple.viewer.tools.keys import BRUSHES, KEYS
-from tests.viewer.windows import SIZE, Hand, handle_of, imgui, opened, watch
+from tests.viewer.windows import SIZE, Boxes, Hand, imgui, opened
 
 FLAT = (Stroke(at=(200, 120), by=(20, 10), radius=40), Stroke(at=(100, 90), by=(-10, 10), radius=30))
 GREY = np.full((300, 400, 3), 128, np.uint8)
-Places = dict[str, tuple[float, float]]
-
-
-@pytest.fixture
-def places(monkeypatch: pytest.MonkeyPatch) -> Places:
-    """Where the controls of the last frame are, by their names."""
-    found: Places = {}
-
-    def put(name: str, label: str, *box: Any) -> None:
-        found[("menu " if name == "menu_item" else "") + label.rpartition("###")[2]] = handle_of(*box)
-
-    watch(monkeypatch, "button selectable invisible_button collapsing_header begin_menu menu_item slider_float", put)
-    return found
 
 
 def grey(*strokes: Stroke, size: tuple[int, int] = SIZE) -> tuple[Any, Hand]:
@@ -76,45 +63,45 @@ def test_icons_are_seen_and_differ(gpu: Gpu, monkeypatch: pytest.MonkeyPatch) ->
     assert min((seen[a] != seen[b]).sum() / 3 for a, b in pairs) > 25
 
 
-def test_the_strip_does_what_its_keys_do(gpu: Gpu, places: Places) -> None:
+def test_the_strip_does_what_its_keys_do(gpu: Gpu, boxes: Boxes) -> None:
     view, hand = grey(*FLAT)
     hand.canvas.draw()
     view.document.remove(0)
-    hand.click(places["undo"])
+    hand.click(boxes.place("undo"))
     assert len(view.document.strokes) == 2
-    hand.click(places["redo"])
+    hand.click(boxes.place("redo"))
     assert len(view.document.strokes) == 1
-    hand.click(places["split"])
+    hand.click(boxes.place("split"))
     assert view.tools.split == 0.5
-    hand.click(places["split"])
+    hand.click(boxes.place("split"))
     assert view.tools.split is None
     hand.key("1")
-    hand.click(places["fit"])
+    hand.click(boxes.place("fit"))
     assert view.tools.view.held is None
     for name in ("open", "save", "copy"):
         view.commands.asked = None
         hand.canvas.draw()
         if name != "copy":
-            hand.click(places[name])
+            hand.click(boxes.place(name))
             assert view.commands.asked.name == name
     view.commands.asked = None
     view.tools.brush = "other"
     hand.canvas.draw()
-    hand.click(places["brush grab"])
+    hand.click(boxes.place("brush grab"))
     assert view.tools.brush == "grab"
     view.tools.brush = "other"
     hand.key("g")
     assert view.tools.brush == "grab"
     # An array is no file: nothing is exported.
-    hand.click(places["export"])
+    hand.click(boxes.place("export"))
     assert view.commands.asked is None
     assert not view.commands.message
 
 
-def test_the_original_is_seen_while_its_button_is_held(gpu: Gpu, places: Places) -> None:
+def test_the_original_is_seen_while_its_button_is_held(gpu: Gpu, boxes: Boxes) -> None:
     view, hand = grey(*FLAT)
     hand.canvas.draw()
-    place = places["original"]
+    place = boxes.place("original")
     hand.move(*place)
     hand.canvas.draw()
     hand.press(*place)
@@ -128,7 +115,7 @@ def test_the_original_is_seen_while_its_button_is_held(gpu: Gpu, places: Places)
 
 
 @pytest.mark.parametrize("kind", ["photo", "clip", "volume"])
-def test_a_step_is_compared_with_the_present(gpu: Gpu, kind: str, request: Any, places: Places) -> None:
+def test_a_step_is_compared_with_the_present(gpu: Gpu, kind: str, request: Any, boxes: Boxes) -> None:
     """Left of the line is the step that is marked, right of it what is there now, pixel by pixel."""
     at, by = ((22.0, 40.0, 22.0), (2.0, -3.0, 2.0)) if kind == "volume" else ((280.0, 180.0, 2.0), (20.0, 9.0, 0.0))
     n = 2 if kind == "photo" else 3
@@ -144,7 +131,7 @@ def test_a_step_is_compared_with_the_present(gpu: Gpu, kind: str, request: Any, 
     hand.canvas.draw()
     two = view.pixels().astype(int)
     hand.canvas.draw()
-    hand.click(places["mark 0"])
+    hand.click(boxes.place("mark 0"))
     assert view.tools.split == 0.5
     assert view.document.compared.strokes == view.document.steps[0].strokes
     both = view.pixels().astype(int)
@@ -161,17 +148,17 @@ def test_a_step_is_compared_with_the_present(gpu: Gpu, kind: str, request: Any, 
     view.tools.split, view.tools.original = None, True
     np.testing.assert_array_equal(view.pixels(), one)
     hand.canvas.draw()
-    hand.click(places["mark 0"])
+    hand.click(boxes.place("mark 0"))
     assert view.document.compared is None
     assert view.document.base.is_identity
 
 
-def test_a_step_that_has_left_the_history_is_unmarked_by_a_click(gpu: Gpu, places: Places) -> None:
+def test_a_step_that_has_left_the_history_is_unmarked_by_a_click(gpu: Gpu, boxes: Boxes) -> None:
     view, hand = grey(*FLAT[:1])
     view.sections |= dict.fromkeys(("Brush", "Strokes", "View"), False) | {"History": True}
     view.document.add(FLAT[1])
     hand.canvas.draw()
-    assert "Compare with the original" not in places
+    assert "Compare with the original" not in boxes
     view.document.compare(1)
     view.document.undo()
     view.document.add(replace(FLAT[1], radius=40))
@@ -180,38 +167,38 @@ def test_a_step_that_has_left_the_history_is_unmarked_by_a_click(gpu: Gpu, place
         hand.canvas.draw()
     assert view.document.compared is not None
     assert view.document.compared_step is None
-    hand.click(places["Compare with the original"])
+    hand.click(boxes.place("Compare with the original"))
     assert view.document.compared is None
     assert view.document.base.is_identity
-    places.clear()
+    boxes.clear()
     hand.canvas.draw()
-    assert "Compare with the original" not in places
+    assert "Compare with the original" not in boxes
 
 
-def test_all_of_the_strip_is_seen_in_a_low_window(gpu: Gpu, places: Places) -> None:
+def test_all_of_the_strip_is_seen_in_a_low_window(gpu: Gpu, boxes: Boxes) -> None:
     _, hand = opened(GREY, Recipe(border=None), size=(900, 330))
     hand.canvas.draw()
-    assert places["keys"][1] < 324
+    assert boxes.place("keys")[1] < 324
 
 
-def test_the_menu_undoes_by_name(gpu: Gpu, places: Places, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_menu_undoes_by_name(gpu: Gpu, boxes: Boxes, monkeypatch: pytest.MonkeyPatch) -> None:
     view, hand = grey(*FLAT)
     said: list[str] = []
     item = imgui.menu_item
     monkeypatch.setattr(imgui, "menu_item", lambda text, *rest: said.append(text) or item(text, *rest))
     view.document.remove(0)
     hand.canvas.draw()
-    hand.click(places["Edit"])
+    hand.click(boxes.place("Edit"))
     assert "Undo: Remove stroke 1###undo" in said
     assert "Redo###redo" in said
-    hand.click(places["menu undo"])
+    hand.click(boxes.place("menu undo"))
     assert len(view.document.strokes) == 2
     said.clear()
-    hand.click(places["Edit"])
+    hand.click(boxes.place("Edit"))
     assert "Redo: Remove stroke 1###redo" in said
 
 
-def test_a_click_in_the_history_goes_there(gpu: Gpu, places: Places) -> None:
+def test_a_click_in_the_history_goes_there(gpu: Gpu, boxes: Boxes) -> None:
     view, hand = grey(size=(SIZE[0], 1200))
     for stroke in FLAT:
         view.document.add(stroke)
@@ -219,14 +206,14 @@ def test_a_click_in_the_history_goes_there(gpu: Gpu, places: Places) -> None:
     view.document.select(None)
     for _ in range(2):
         hand.canvas.draw()
-    assert {"step 0", "step 1", "step 2"} <= set(places)
-    hand.click(places["step 0"])
+    assert {"step 0", "step 1", "step 2"} <= set(boxes)
+    hand.click(boxes.place("step 0"))
     assert view.document.strokes == ()
-    hand.click(places["step 2"])
+    hand.click(boxes.place("step 2"))
     assert len(view.document.strokes) == 2
 
 
-def test_the_recipe_is_copied_where_there_is_a_clipboard(gpu: Gpu, places: Places) -> None:
+def test_the_recipe_is_copied_where_there_is_a_clipboard(gpu: Gpu, boxes: Boxes) -> None:
     from supple.viewer.panels.actions import ACTIONS
 
     view, hand = grey(*FLAT)
@@ -234,23 +221,23 @@ def test_the_recipe_is_copied_where_there_is_a_clipboard(gpu: Gpu, places: Place
     copied: list[str] = []
     view.copy_text = copied.append
     hand.canvas.draw()
-    hand.click(places["File"])
-    hand.click(places["menu copy recipe"])
+    hand.click(boxes.place("File"))
+    hand.click(boxes.place("menu copy recipe"))
     assert Recipe.from_json(copied[0]).strokes == FLAT
 
 
-def test_what_is_folded_stays_folded(gpu: Gpu, places: Places, tmp_path: Path) -> None:
+def test_what_is_folded_stays_folded(gpu: Gpu, boxes: Boxes, tmp_path: Path) -> None:
     view, hand = grey()
     for _ in range(2):
         hand.canvas.draw()
-    assert "step 0" not in places
-    hand.click(places["Brush"])
+    assert "step 0" not in boxes
+    hand.click(boxes.place("section Brush"))
     view.close()
     place = tmp_path / "config" / "supple" / "window.json"
     assert json.loads(place.read_text())["sections"] == {"Brush": False}
     again, hand = grey()
     assert again.sections == {"Brush": False}
-    hand.click(places["Brush"])
+    hand.click(boxes.place("section Brush"))
     assert json.loads(place.read_text())["sections"] == {"Brush": True}
     # What is broken, or cannot be written, is ignored.
     for broken in ("{", "[1]", '{"sections": 3}', "\x00", "[" * 100000):
@@ -263,7 +250,7 @@ def test_what_is_folded_stays_folded(gpu: Gpu, places: Places, tmp_path: Path) -
     place.unlink()
     place.parent.rmdir()
     place.parent.write_text("a file, and no folder")
-    hand.click(places["Brush"])
+    hand.click(boxes.place("section Brush"))
     assert again._gui.trouble == ""
     assert again.sections == {"Brush": False}
 

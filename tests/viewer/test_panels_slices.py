@@ -22,7 +22,7 @@ from supple.viewer.panels.view import TOP
 from supple.viewer.tools.planes import RENDERED, planes_of
 from supple.viewer.window.options import ViewOptions
 from tests import effort
-from tests.viewer.windows import DATA, imgui, opened
+from tests.viewer.windows import DATA, Boxes, opened, written
 
 PULL = Stroke.grab((45, 60, 50), by=(6, -12, 8), radius=25)
 
@@ -71,25 +71,18 @@ def test_scaled_values_are_those_of_the_exported_volume(gpu: Gpu, tmp_path: Path
     assert f"|   {wanted[z, y, x]:.6g} HU   |" in said
 
 
-def test_a_ct_is_rendered_without_its_table_unless_it_is_asked_for(gpu: Gpu, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_ct_is_rendered_without_its_table_unless_it_is_asked_for(gpu: Gpu, boxes: Boxes) -> None:
     _, y, x = np.mgrid[:30, :40, :50]
     samples = np.where((y - 18) ** 2 + (x - 25) ** 2 / 4 < 81, 40, -1000).astype(np.int16)
     samples[:, 31, 8:42] = 300
     view, hand = opened(samples, spacing=(10, 10, 10))
-    stage, found, draw = view.stage, {}, imgui.button
-
-    def drawn(name: str, *rest: Any) -> bool:
-        made, ends = draw(name, *rest), (imgui.get_item_rect_min(), imgui.get_item_rect_max())
-        found[name] = tuple(0.5 * sum(each) for each in ((p.x for p in ends), (p.y for p in ends)))
-        return bool(made)
-
-    monkeypatch.setattr(imgui, "button", drawn)
+    stage = view.stage
     hand.canvas.draw()
     assert view.slices.sampled(None, 2, 15)[31, 25] == 300  # planes have all
     for table in (False, True, False):
         assert stage.table == table
         assert stage.scene.samples[15, 31, 25] == (300 if table else -1000)
-        hand.click(next(at for name, at in found.items() if name.startswith("Table")))
+        hand.click(boxes.place(next(name for name in boxes if name.startswith("Table"))))
 
 
 def status(view: Any) -> str:
@@ -318,20 +311,9 @@ def test_landmarks_are_shown_before_and_after(gpu: Gpu, tmp_path: Path) -> None:
 def test_no_words_lie_on_others(
     gpu: Gpu, size: tuple[int, int], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from supple.viewer.panels import overlay
-
     (tmp_path / "marks.csv").write_text("name,i,j,k\nnasion,45,104,28\nAC,45,63,36\nPC,45,49,37\n")
     view, hand = opened(DATA / "head.nii.gz", Recipe(border=None), size=size, points=tmp_path / "marks.csv")
-    boxes: list[tuple[str, float, float, float, float]] = []
-    write = overlay._text
-
-    def watched(lines: Any, at: Any, said: str, colour: int = 0, align: Any = (0.0, 0.0)) -> None:
-        wide, high = overlay.imgui.calc_text_size(said)
-        left, top = at[0] - align[0] * wide, at[1] - align[1] * high
-        boxes.append((said, left, top, left + wide, top + high))
-        write(lines, at, said, colour or overlay._LETTERS, align)
-
-    monkeypatch.setattr(overlay, "_text", watched)
+    boxes = written(monkeypatch)
     hand.move(1, 1)
     view.tools.sight = view.tools.sight.at((87, 71, 34), view.tools.sizes)  # long words: A 17.0 mm
     view.refresh()

@@ -13,13 +13,9 @@ from supple.strokes import Stroke
 from supple.viewer.tools.gestures import Tools
 from supple.viewer.tools.planes import RENDERED
 from tests.viewer.test_tools_slices import bench, middle
-from tests.viewer.tools import clip, down, drag, image, move, press, solid, up, wheel
+from tests.viewer.tools import clip, down, drag, image, move, press, solid, state, up, wheel
 
 E = math.e
-
-
-def state(tools: Tools[Any]) -> tuple[object, bytes]:
-    return tools.document.state.content, tools.document.deformation.space.table.tobytes()
 
 
 def drawn(tools: Tools[Any], key: str, *way: tuple[float, float], radius: float = 20) -> Stroke:

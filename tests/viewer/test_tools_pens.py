@@ -9,8 +9,7 @@ import pytest
 
 from supple.strokes import Stroke
 from supple.viewer.tools.gestures import Tools
-from tests.viewer.test_tools_brushes import state
-from tests.viewer.tools import clip, image, press, send, solid
+from tests.viewer.tools import clip, image, press, send, solid, state
 
 
 def drawn(tools: Tools[Any], key: str, *pressures: float | None) -> tuple[Stroke, ...]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import json
 import signal
 import sys
 import time
@@ -81,6 +82,8 @@ def test_nothing_is_lost(photo: Path, gpu: Gpu, state: Path) -> None:
     assert again.recipe.strokes == ()
     assert again.commands.answer("Restore")
     assert again.recipe == kept
+    # What is restored is kept before the offer is put aside.
+    assert len(json.loads(again.commands.autosave.place.read_text())["recipe"]["strokes"]) == 1
     # Closing asks; what was saved is not asked for again.
     assert not again.commands.may_close()
     assert again.commands.asked.name == "close"

@@ -1,4 +1,4 @@
-"""The sliders of a face: one stroke in the list, undone step by step, and exported as Python makes it."""
+"""The sliders of a face: one stroke in the list, undone step by step."""
 
 from __future__ import annotations
 
@@ -15,21 +15,10 @@ from supple.gpu.device import Gpu
 from supple.media import image
 from supple.strokes import Recipe, Stroke
 from supple.viewer.document.words import listed
-from tests.viewer.windows import Hand, opened, wait_for, watch
+from tests.viewer.windows import Boxes, Hand, opened
 
 PORTRAIT = Path(supple.__file__).parent / "examples" / "data" / "astronaut.jpg"
 MARKS = PORTRAIT.with_suffix(".pts")
-
-
-@pytest.fixture
-def boxes(monkeypatch: pytest.MonkeyPatch) -> dict[str, tuple[float, ...]]:
-    found: dict[str, tuple[float, ...]] = {}
-    watch(
-        monkeypatch,
-        "slider_float combo",
-        lambda name, label, low, high: found.update({label: (low.x, low.y, high.x, high.y)}),
-    )
-    return found
 
 
 def window(source: Path, *strokes: Stroke) -> tuple[Any, Hand]:
@@ -47,7 +36,7 @@ def slide(hand: Hand, box: tuple[float, ...], start: float, end: float) -> None:
     hand.canvas.draw()
 
 
-def test_sliders_edit_one_stroke(gpu: Gpu, tmp_path: Path, boxes: dict[str, tuple[float, ...]]) -> None:
+def test_sliders_edit_one_stroke(gpu: Gpu, tmp_path: Path, boxes: Boxes) -> None:
     source = tmp_path / "portrait.jpg"
     shutil.copy(PORTRAIT, source)
     shutil.copy(MARKS, tmp_path / "portrait.pts")
@@ -72,18 +61,13 @@ def test_sliders_edit_one_stroke(gpu: Gpu, tmp_path: Path, boxes: dict[str, tupl
     there = dict(zip(face, map(tuple, d.forward(np.array([*face.values()])).tolist()), strict=True))
     np.testing.assert_allclose(view.document.strokes[1].by, face_stroke(there, **both).by, atol=1e-6)
     assert not [i for i, _ in view.document.tracks() if i == 1]  # no flower of handles
-    view.commands.save(tmp_path / "r.json")
-    view.commands.begin_export(tmp_path / "out.png")
-    wait_for(lambda: view.commands.export is None or view.commands.export.done)
-    expected = supple.Deformation.from_recipe(view.document.recipe, (512, 512)).warp(image.read(source).pixels)
-    np.testing.assert_array_equal(image.read(tmp_path / "out.png").pixels, expected)
     view.document.undo()
     assert adjusted(view.document.strokes[1]) == (1, percents)
     view.document.undo()
     assert view.document.strokes == (grab,)
 
 
-def test_a_face_of_several_is_chosen(gpu: Gpu, tmp_path: Path, boxes: dict[str, tuple[float, ...]]) -> None:
+def test_a_face_of_several_is_chosen(gpu: Gpu, tmp_path: Path, boxes: Boxes) -> None:
     pixels = image.read(PORTRAIT).pixels
     image.write(tmp_path / "two.png", np.hstack([pixels, pixels]))
     rows = [tuple(map(float, row.split())) for row in MARKS.read_text().splitlines()[3:-1]]
@@ -103,7 +87,7 @@ def test_a_face_of_several_is_chosen(gpu: Gpu, tmp_path: Path, boxes: dict[str, 
     assert min(at[0] for at, by in stroke.handles if any(by)) > 512
 
 
-def test_without_landmarks_the_section_says_so(gpu: Gpu, tmp_path: Path, boxes: dict[str, tuple[float, ...]]) -> None:
+def test_without_landmarks_the_section_says_so(gpu: Gpu, tmp_path: Path, boxes: Boxes) -> None:
     shutil.copy(PORTRAIT, tmp_path / "portrait.jpg")
     view, _ = window(tmp_path / "portrait.jpg")
     assert "##slim" not in boxes

@@ -21,7 +21,7 @@ from supple.viewer.panels import view as views
 from supple.viewer.panels.view import LINE, TOP
 from supple.viewer.window import window
 from tests.clips import make
-from tests.viewer.windows import Hand, in_pixels, opened, small_photo, wait_for
+from tests.viewer.windows import in_pixels, opened, settled, small_photo
 
 LATER = Stroke.grab((160, 120, 260), by=(0, 0, 30), radius=100)
 
@@ -29,13 +29,6 @@ LATER = Stroke.grab((160, 120, 260), by=(0, 0, 30), radius=100)
 def closed(view: Any) -> None:
     view.document.mark_saved()
     view.close()
-
-
-def settled(view: Any, hand: Hand) -> np.ndarray:
-    """What is drawn once nothing is still to come, in full."""
-    wait_for(lambda: hand.canvas.draw() is not None and view.painter.ready, 30.0, every=0.02)
-    view._changed_at = -10.0
-    return np.asarray(hand.canvas.draw())[..., :3].astype(int)
 
 
 def bent_half(view: Any) -> np.ndarray:

@@ -16,39 +16,15 @@ from supple.gpu.device import Gpu
 from supple.media import image
 from supple.viewer.panels.overlay import status
 from tests.clips import decoded, make, rows
-from tests.viewer.windows import Hand, in_pixels, opened, wait_for, watch
+from tests.viewer.windows import Boxes, in_pixels, opened, settled, wait_for
 
 KEYS = (Key(3, at=(300, 150), strength=0), Key(6, strength=1), Key(12, at=(380, 190), strength=0.5))
 MOVING = Stroke(at=(300, 150), by=(30, -20), radius=50, keys=KEYS)
-Boxes = dict[str, tuple[tuple[float, float], tuple[float, float]]]
-
-
-@pytest.fixture
-def boxes(monkeypatch: pytest.MonkeyPatch) -> Boxes:
-    """The corners of the controls of the last frame, by their names."""
-    found: Boxes = {}
-
-    def put(name: str, label: str, low: Any, high: Any) -> None:
-        found[label] = (low.x, low.y), (high.x, high.y)
-
-    watch(monkeypatch, "button invisible_button checkbox combo slider_float slider_int menu_item input_float", put)
-    return found
-
-
-def settled(view: Any, hand: Hand) -> np.ndarray:
-    wait_for(lambda: hand.canvas.draw() is not None and view.painter.ready, 60.0, every=0.02)
-    view._changed_at = -10.0
-    return np.asarray(hand.canvas.draw())[..., :3].astype(int)
-
-
-def middle(boxes: Boxes, name: str) -> tuple[float, float]:
-    (x0, y0), (x1, y1) = boxes[name]
-    return (x0 + min(x1, x0 + 24)) / 2, (y0 + y1) / 2
 
 
 def marks(boxes: Boxes, frame: float, strength: float | None, count: int = 16) -> tuple[float, float]:
     """Where the mark of a key is on the lane: of its strength, or of its position."""
-    (x0, y0), (x1, y1) = boxes["##lane"]
+    x0, y0, x1, y1 = boxes["##lane"]
     inset = 7.0
     x = x0 + inset + frame / (count - 1) * (x1 - x0 - 2 * inset)
     return x, y0 + 8 if strength is None else y1 - 5 - strength * (y1 - y0 - 25)
@@ -154,31 +130,31 @@ def test_the_panel_animates_a_stroke(gpu: Gpu, clip: Path, boxes: Boxes) -> None
     hand.canvas.draw()
     view.tools.playback.seek(3)
     hand.canvas.draw()
-    hand.click(middle(boxes, "position"))
+    hand.click(boxes.place("position"))
     assert keys(view) == [(3, stroke.at, None)]
     view.tools.playback.seek(10)
     hand.canvas.draw()
     hand.drag((x, y), (x + 30, y + 20))
     assert [k.frame for k in view.document.strokes[0].keys] == [3, 10]
     assert view.document.strokes[0].keys[1].at == pytest.approx((stroke.at[0] + 30, stroke.at[1] + 20), abs=30)
-    hand.click(middle(boxes, "strength"))
-    (x0, y0), (x1, y1) = boxes["##strength"]
+    hand.click(boxes.place("strength"))
+    x0, y0, x1, y1 = boxes["##strength"]
     hand.drag((x1 - 5, (y0 + y1) / 2), (x0 + 0.25 * (x1 - x0), (y0 + y1) / 2))
     hand.canvas.draw()
     assert keys(view)[1][2] == pytest.approx(0.25, abs=0.06)
     view.tools.playback.seek(12)
     hand.canvas.draw()
     before = len(view.document.steps)
-    hand.click(middle(boxes, "key here"))
+    hand.click(boxes.place("key here"))
     assert [k.frame for k in view.document.strokes[0].keys] == [3, 10, 12]
-    hand.click(middle(boxes, "key before"))
+    hand.click(boxes.place("key before"))
     assert view.tools.playback.frame == 10
     hand.canvas.draw()
-    hand.click(middle(boxes, "key here"))  # removes that one
+    hand.click(boxes.place("key here"))  # removes that one
     assert [k.frame for k in view.document.strokes[0].keys] == [3, 12]
     assert len(view.document.steps) == before + 2
     at = view.document.strokes[0].at_frame(10).at
-    hand.click(middle(boxes, "position"))
+    hand.click(boxes.place("position"))
     assert view.document.strokes[0].at_frame(0).at == at  # it stays where it is in this frame
     assert view._gui.trouble == ""
 
@@ -288,7 +264,7 @@ def test_a_stroke_follows_its_point_in_the_background(
     view.tools.playback.seek(10)
     hand.canvas.draw()
     (found,) = supple.track(clip, [(345, 58, 10)])
-    hand.click(middle(boxes, "Track its point"))
+    hand.click(boxes.place("Track its point"))
     assert view.commands.following is not None
     wait_for(lambda: hand.pass_frame() or view.commands.following is None, 60.0)
     made = view.document.strokes[0]
@@ -313,11 +289,11 @@ def test_a_stroke_follows_its_point_in_the_background(
 
     monkeypatch.setattr(files, "track", slow)
     hand.canvas.draw()
-    hand.click(middle(boxes, "Track its point"))
+    hand.click(boxes.place("Track its point"))
     hand.canvas.draw()
     with pytest.raises(supple.SuppleError, match="a point is tracked already"):
         view.commands.follow(0)
-    hand.click(middle(boxes, "Cancel"))
+    hand.click(boxes.place("Cancel"))
     wait_for(lambda: hand.pass_frame() or view.commands.following is None, 60.0)
     assert view.commands.message == "cancelled"
     assert view.document.strokes == (stroke,)
@@ -344,21 +320,21 @@ def test_a_plateau_and_a_radius_in_time_are_set_in_the_panel(gpu: Gpu, clip: Pat
     view.document.select(0)
     view.own = True
     hand.canvas.draw()
-    hand.click(middle(boxes, "##limited radius in time"))
+    hand.click(boxes.place("##limited radius in time"))
     assert view.document.strokes[0].time_radius == 2.0  # of a drag of 2 frames, and 16 frames
     hand.canvas.draw()
-    (x0, y0), (x1, y1) = boxes["##radius in time"]
+    x0, y0, x1, y1 = boxes["##radius in time"]
     hand.click(((x0 + x1) / 2, (y0 + y1) / 2))
     assert view.document.strokes[0].time_radius == pytest.approx(4.25, abs=0.5)
     assert len(view.document.steps) == 3
-    (x0, y0), (x1, y1) = boxes["##plateau"]
+    x0, y0, x1, y1 = boxes["##plateau"]
     hand.click(((x0 + x1) / 2, (y0 + y1) / 2))
     assert view.document.strokes[0].flat == pytest.approx(0.45, abs=0.05)
-    hand.click(middle(boxes, "##limited radius in time"))
+    hand.click(boxes.place("##limited radius in time"))
     assert view.document.strokes[0].time_radius is None
     view.own = False
     hand.canvas.draw()
-    hand.click(middle(boxes, "##limited radius in time"))
+    hand.click(boxes.place("##limited radius in time"))
     view.tools.flat = 0.5
     view.document.select(None)
     x, y = view.tools.view.to_canvas(200, 200)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +23,7 @@ from supple.viewer.panels.view import LINE, TOP, WIDE
 from supple.viewer.tools.comparing import MODES, Comparison
 from supple.viewer.tools.planes import FIXED, RENDERED
 from supple.viewer.window.launch import SIZE
-from tests.viewer.windows import DATA, Hand, a_screen, imgui, opened, viewing, wait_for
+from tests.viewer.windows import DATA, Boxes, Hand, a_screen, imgui, opened, viewing, wait_for, written
 
 OFF = np.array([6.0, -5.0, 4.0])  # millimetres, in LPS, by which the field is wrong
 PLACE = np.array([[0.96, 0.28, 0.0, 40.0], [-0.28, 0.96, 0.0, -15.0], [0.0, 0.0, 1.0, 8.0]])  # of the moving head
@@ -129,7 +128,7 @@ def test_a_checkerboard_has_squares_of_millimetres_and_a_blend_a_share() -> None
 
 
 def test_what_a_registration_missed_is_pulled_by_landmarks_and_exported_as_one_field(
-    gpu: Gpu, heads: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    gpu: Gpu, heads: Any, tmp_path: Path, boxes: Boxes, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The job: pairs by clicks, a pull, a drag, the recipe, and one field, by which ITK maps the points."""
     view, hand = registered(heads, size=(1280, 800))
@@ -165,13 +164,11 @@ def test_what_a_registration_missed_is_pulled_by_landmarks_and_exported_as_one_f
         shown.append((view.document.state.marks.names, len(view.document.state.marks.pairs)))
     assert shown == [(("1",), 0), ((), 0), (("1",), 0), (("1",), 1)]
     assert residual == pytest.approx(np.linalg.norm((np.round(where[2]) - where[2], 0, 0)) * 4 + 8.4, abs=2.0)
-    found: dict[str, tuple[float, float]] = {}
-    put(monkeypatch, found)
     view.sections["Brush"] = False
     for _ in range(3):
         hand.canvas.draw()
     tools.radius = 30.0
-    hand.click(found["Pull them together"])
+    hand.click(boxes.place("Pull them together"))
     assert len(document.strokes) == 1
     assert view.document.state.marks.residuals(document.deformation)[0] < 0.01
     # Another place is corrected by a drag in the plane, as any stroke; undo takes it back, and redo makes it again.
@@ -249,19 +246,6 @@ def through_field(heads: Any, place: Any) -> Any:
     led = supple.Deformation(heads["grid"], border=None).field(heads["maps"][1].map)
     found = heads["grid"].positions(led.inverse(heads["grid"].indices(place)).points)
     return found @ PLACE[:, :3].T + PLACE[:, 3]
-
-
-def put(patch: pytest.MonkeyPatch, found: dict[str, tuple[float, float]]) -> None:
-    """Keep where buttons are."""
-    draw = imgui.button
-
-    def drawn(label: str, *rest: Any) -> bool:
-        made = draw(label, *rest)
-        low, high = imgui.get_item_rect_min(), imgui.get_item_rect_max()
-        found[label] = (low.x + high.x) / 2, (low.y + high.y) / 2
-        return bool(made)
-
-    patch.setattr(imgui, "button", drawn)
 
 
 def test_pairs_come_from_files_and_are_listed_with_their_residuals(gpu: Gpu, heads: Any, tmp_path: Path) -> None:
@@ -372,25 +356,10 @@ def test_wrong_files_are_refused_in_a_line(gpu: Gpu, heads: Any, tmp_path: Path)
         opened(heads["moving"], label_colours="grey")
 
 
-def words(patch: pytest.MonkeyPatch) -> list[tuple[str, float, float, float, float]]:
-    """Keep what is written over the views, and the box of each."""
-    boxes: list[tuple[str, float, float, float, float]] = []
-    write: Callable[..., None] = overlay._text
-
-    def watched(lines: Any, at: Any, said: str, colour: int = 0, align: Any = (0.0, 0.0)) -> None:
-        wide, high = overlay.imgui.calc_text_size(said)
-        left, top = at[0] - align[0] * wide, at[1] - align[1] * high
-        boxes.append((said, left, top, left + wide, top + high))
-        write(lines, at, said, colour or overlay._LETTERS, align)
-
-    patch.setattr(overlay, "_text", watched)
-    return boxes
-
-
 def test_no_line_of_the_crosshair_lies_on_a_letter(gpu: Gpu, monkeypatch: pytest.MonkeyPatch) -> None:
     view, hand = opened(DATA / "head.nii.gz")
     tools = view.tools
-    boxes = words(monkeypatch)
+    boxes = written(monkeypatch)
     lines: list[tuple[float, float, float, float]] = []
     crosshair = overlay._crosshair
 
@@ -417,7 +386,7 @@ def test_landmarks_inside_say_how_deep_they_are(gpu: Gpu, tmp_path: Path, monkey
     rows = ["name,i,j,k", "nose,45,108,26", "AC,45,63,36", "PC,45,49,37", "far,45,50,36", "other,45,51,38"]
     (tmp_path / "marks.csv").write_text("\n".join(rows) + "\n")
     view, hand = opened(DATA / "head.nii.gz", points=tmp_path / "marks.csv", size=(1280, 800))
-    boxes = words(monkeypatch)
+    boxes = written(monkeypatch)
     hand.key("4")
     hand.move(1, 1)
     view.refresh()
@@ -445,7 +414,7 @@ def test_an_oblique_volume_is_reformatted_along_the_patients_axes(
     recipe = Recipe(border=None, strokes=(Stroke.grab((45, 60, 40), by=(3, -6, 4), radius=20),))
     view, hand = opened(tmp_path / "oblique.nii.gz", recipe, size=(1280, 800))
     tools = view.tools
-    boxes = words(monkeypatch)
+    boxes = written(monkeypatch)
     hand.key("1")
     view.refresh()
     hand.canvas.draw()

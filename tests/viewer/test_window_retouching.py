@@ -17,22 +17,10 @@ from supple.strokes import Recipe, Stroke
 from supple.viewer.panels.actions import ACTIONS
 from supple.viewer.panels.overlay import grid_step, status
 from supple.viewer.panels.view import LINE, TOP
-from tests.viewer.windows import SIZE, Hand, handle_of, imgui, opened, watch
+from tests.viewer.windows import SIZE, Boxes, Hand, imgui, opened
 
 PULL = Stroke(at=(200, 120), by=(20, 10), radius=40)
 GREY = np.full((300, 400, 3), 128, np.uint8)
-Places = dict[str, tuple[float, float]]
-
-
-@pytest.fixture
-def places(monkeypatch: pytest.MonkeyPatch) -> Places:
-    found: Places = {}
-
-    def put(name: str, label: str, *box: Any) -> None:
-        found[label.rpartition("###")[2]] = handle_of(*box)
-
-    watch(monkeypatch, "begin_menu menu_item combo button slider_float checkbox input_text", put)
-    return found
 
 
 def grey(*strokes: Stroke, **options: Any) -> tuple[Any, Hand]:
@@ -44,13 +32,13 @@ def is_open(view: Any) -> bool:
     return bool(imgui.is_popup_open("", imgui.PopupFlags_.any_popup))
 
 
-def test_the_menu_is_on_top_and_escape_closes_it_first(gpu: Gpu, places: Places) -> None:
+def test_the_menu_is_on_top_and_escape_closes_it_first(gpu: Gpu, boxes: Boxes) -> None:
     view, hand = grey(PULL)
     view.document.select(0)
     hand.canvas.draw()
-    assert all(places[name][1] < TOP for name in ("File", "Edit", "Freeze", "View", "Help"))
-    assert places["File"][0] < 60  # at the left of the window
-    hand.click(places["Freeze"])
+    assert all(boxes.place(name)[1] < TOP for name in ("File", "Edit", "Freeze", "View", "Help"))
+    assert boxes.place("File")[0] < 60  # at the left of the window
+    hand.click(boxes.place("Freeze"))
     assert is_open(view)
     hand.key("Escape")
     hand.canvas.draw()
@@ -65,11 +53,11 @@ def test_the_menu_is_on_top_and_escape_closes_it_first(gpu: Gpu, places: Places)
     assert view.document.strokes == (PULL,)
 
 
-def test_restore_all_is_one_step(gpu: Gpu, places: Places) -> None:
+def test_restore_all_is_one_step(gpu: Gpu, boxes: Boxes) -> None:
     view, hand = grey(PULL, Stroke(at=(100, 90), by=(-10, 10), radius=30))
     hand.canvas.draw()
-    hand.click(places["Edit"])
-    hand.click(places["restore"])
+    hand.click(boxes.place("Edit"))
+    hand.click(boxes.place("menu restore"))
     assert view.document.strokes == ()
     assert not ACTIONS["restore"].able(view)
     assert ACTIONS["undo"].says(view) == "Undo: Restore all"
@@ -77,7 +65,7 @@ def test_restore_all_is_one_step(gpu: Gpu, places: Places) -> None:
     assert len(view.document.strokes) == 2
 
 
-def test_numbers_appear_once_and_a_slider_is_one_step(gpu: Gpu, places: Places) -> None:
+def test_numbers_appear_once_and_a_slider_is_one_step(gpu: Gpu, boxes: Boxes) -> None:
     view, hand = grey(PULL)
     view.document.select(0)
     hand.canvas.draw()
@@ -85,8 +73,8 @@ def test_numbers_appear_once_and_a_slider_is_one_step(gpu: Gpu, places: Places) 
         view.own = own
         hand.canvas.draw()
         for name in ("##radius", "##fall-off", "##bulge sideways", "##reach"):
-            assert name in places
-    x, y = places["##radius"]
+            assert name in boxes
+    x, y = boxes.place("##radius")
     radius = view.tools.radius
     hand.drag((x, y), (x + 60, y))
     hand.canvas.draw()
@@ -99,12 +87,12 @@ def test_numbers_appear_once_and_a_slider_is_one_step(gpu: Gpu, places: Places) 
     hand.key("t")
     hand.canvas.draw()
     assert not view.own
-    hand.drag((x, places["##radius"][1]), (x + 60, places["##radius"][1]))
+    hand.drag((x, boxes.place("##radius")[1]), (x + 60, boxes.place("##radius")[1]))
     assert view.tools.radius != radius
     assert len(view.document.steps) == 2
 
 
-def test_accuracy_is_folded_and_not_in_the_status_line(gpu: Gpu, places: Places) -> None:
+def test_accuracy_is_folded_and_not_in_the_status_line(gpu: Gpu, boxes: Boxes) -> None:
     view, hand = grey(PULL)
     hand.move(300, 300)
     for _ in range(3):
@@ -114,7 +102,7 @@ def test_accuracy_is_folded_and_not_in_the_status_line(gpu: Gpu, places: Places)
 
 
 def test_what_was_opened_is_offered_again(
-    gpu: Gpu, photo: Path, tmp_path: Path, places: Places, monkeypatch: pytest.MonkeyPatch
+    gpu: Gpu, photo: Path, tmp_path: Path, boxes: Boxes, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     other = tmp_path / "other.png"
     image.write(other, GREY)
@@ -129,8 +117,8 @@ def test_what_was_opened_is_offered_again(
         "supple.viewer.document.files.subprocess.Popen", lambda words, **options: begun.append(words) or running
     )
     hand.canvas.draw()
-    for name in ("File", "Open recent", str(other)):
-        hand.click(places[name])
+    for name in ("File", "Open recent", f"menu {other}"):
+        hand.click(boxes.place(name))
         hand.canvas.draw()
     assert [words[-1] for words in begun] == [str(other)]
     # The command opens recipes here, and files beside; where there is no other window, that is said.
@@ -257,22 +245,22 @@ def test_the_grid_is_the_original_s_bent_and_drawn_fast(gpu: Gpu, turned: bool) 
     assert [grid_step(zoom) for zoom in (2.0, 1.0, 0.3, 0.05)] == [32, 32, 64, 512]
 
 
-def test_an_export_has_its_options_beside_its_name(gpu: Gpu, photo: Path, tmp_path: Path, places: Places) -> None:
+def test_an_export_has_its_options_beside_its_name(gpu: Gpu, photo: Path, tmp_path: Path, boxes: Boxes) -> None:
     view, hand = opened(photo)
     hand.drag((300, 250), (340, 230))
     hand.key("e", "Control")
     for _ in range(3):
         hand.canvas.draw()
-    assert "##quality" not in places  # a PNG has none, and is compressed without loss
-    assert "##compression" in places
-    hand.click(places["##format"])
+    assert "##quality" not in boxes  # a PNG has none, and is compressed without loss
+    assert "##compression" in boxes
+    hand.click(boxes.place("##format"))
     hand.canvas.draw()
     view.commands.asked.path = str(tmp_path / "photo-bent.jpg")
     hand.key("Escape")  # closes the list, and not the question
     for _ in range(3):
         hand.canvas.draw()
     assert view.commands.asked is not None
-    x, y = places["##quality"]
+    x, y = boxes.place("##quality")
     hand.click((x + 60, y))
     quality = view.commands.options["quality"]
     assert 1 <= quality < 40

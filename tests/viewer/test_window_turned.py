@@ -15,7 +15,7 @@ from supple.gpu.device import Gpu
 from supple.strokes import Recipe
 from supple.viewer.panels.stages import FrameCache
 from supple.viewer.panels.view import TOP
-from tests.viewer.windows import Hand, in_pixels, opened, wait_for
+from tests.viewer.windows import Hand, in_pixels, opened, settled
 
 # Where a pixel one to the right, and one below, is shown, as display matrices have it: x and y of each.
 DISPLAYS = {
@@ -65,17 +65,15 @@ def clip(path: Path, frame: Pixels, display: tuple[int, ...] = (1, 0, 0, 1), asp
     return path
 
 
-def settled(view: Any, hand: Hand) -> np.ndarray:
+def area(view: Any, hand: Hand) -> np.ndarray:
     """What is drawn of picture and strokes, once nothing is still to come."""
-    wait_for(lambda: hand.canvas.draw() is not None and view.painter.ready, 30.0, every=0.02)
-    view._changed_at = -10.0
     width, height = (round(n) for n in view.area)
-    return np.asarray(hand.canvas.draw())[TOP : TOP + height, :width, :3].astype(int)
+    return settled(view, hand)[TOP : TOP + height, :width]
 
 
 def extent(view: Any, hand: Hand) -> tuple[int, int]:
     """The columns and rows of a bright picture on the dark canvas."""
-    bright = settled(view, hand).max(axis=-1) > 90
+    bright = area(view, hand).max(axis=-1) > 90
     return int(bright.any(axis=0).sum()), int(bright.any(axis=1).sum())
 
 
@@ -98,7 +96,7 @@ def frozen(view: Any, hand: Hand) -> np.ndarray:
     hand.key("Escape")
     hand.key("g")
     hand.move(x + 50, y - 20)
-    return settled(view, hand)
+    return area(view, hand)
 
 
 @pytest.mark.parametrize(("name", "ratio"), [("clockwise", 2.0), ("mirrored", 1.0)])
@@ -109,11 +107,11 @@ def test_a_turned_clip_is_shown_and_bent_as_its_upright_frames_are(
     given: Any = {"recipe": Recipe(border=None), "ratio": ratio, "size": (640, 400)}
     turned = opened(clip(tmp_path / "turned.mp4", frame, display), **given)
     plain = opened(clip(tmp_path / "plain.mp4", upright(frame, display)), **given)
-    assert np.abs(settled(*turned) - settled(*plain)).max() <= 1  # a weight that is rounded in another order
+    assert np.abs(area(*turned) - area(*plain)).max() <= 1  # a weight that is rounded in another order
     for view, hand in (turned, plain):
         hand.key("1")
-        settled(view, hand)
-    np.testing.assert_array_equal(settled(*turned), settled(*plain))
+        area(view, hand)
+    np.testing.assert_array_equal(area(*turned), area(*plain))
     bend(*turned), bend(*plain)
     assert np.abs(turned[0].pixels().astype(int) - plain[0].pixels()).max() <= 2
     one, other = frozen(*turned), frozen(*plain)
@@ -130,7 +128,7 @@ def test_a_drag_begins_and_ends_where_the_pointer_is(gpu: Gpu, tmp_path: Path, n
     frame, aspect = picture(), Fraction(4, 3)
     view, hand = opened(clip(tmp_path / "a.mp4", frame, DISPLAYS[name], aspect), Recipe(border=None))
     view.tools.radius = 15
-    settled(view, hand)
+    area(view, hand)
     start = view.tools.view.to_canvas(40, 25)  # within the yellow patch
     end = view.tools.view.to_canvas(95, 70)
     before = view.pixels()
@@ -158,7 +156,7 @@ def test_pixels_are_as_wide_as_the_clip_says(
     view, hand = opened(clip(tmp_path / "a.mp4", frame, DISPLAYS[name], aspect))
     view.tools.press("1")
     assert extent(view, hand) == shown
-    seen = settled(view, hand).astype(int)
+    seen = area(view, hand).astype(int)
     for point in [(40, 40), (200, 100), (100, 150)]:
         x, y = in_pixels(view, *point)
         assert np.abs(seen[y, x] - frame[point[1], point[0]]).max() <= 70  # of a pixel beside it at most
@@ -177,7 +175,7 @@ def test_a_circle_of_the_brush_is_an_ellipse_where_pixels_are_wide(gpu: Gpu, tmp
     view.tools.press("c")  # whose ring is the radius
     x, y = (round(n / 2) for n in view.area)
     hand.move(x, TOP + y)
-    seen = settled(view, hand).min(axis=-1)
+    seen = area(view, hand).min(axis=-1)
     across, down = (int(np.argmax(line[1:])) + 1 for line in (seen[y, x : x + 75], seen[y : y + 150, x]))
     assert (across, down) == (pytest.approx(30, abs=1), pytest.approx(60, abs=1))
 

@@ -57,6 +57,10 @@ def click(tools: Tools[Any], x: float, y: float) -> None:
     drag(tools, (x, y), (x + 1, y))
 
 
+def state(tools: Tools[Any]) -> tuple[object, bytes]:
+    return tools.document.state.content, tools.document.deformation.space.table.tobytes()
+
+
 def image(*strokes: Stroke, on_fold: Any = "damp") -> ImageTools:
     """A picture of 300 x 200 pixels, each two logical ones wide."""
     return ImageTools(Document((200, 300), recipe=Recipe(strokes=strokes, on_fold=on_fold)), (600, 400))

@@ -184,22 +184,66 @@ def close_all() -> None:
             view.certifier.thread.join(120)
 
 
-def watch(patch: pytest.MonkeyPatch, names: str, put: Callable[[str, str, Any, Any], None]) -> None:
-    """Say where the controls of each frame are: by their functions and labels, their upper left and lower right."""
-    for name in names.split():
+CONTROLS = "button small_button invisible_button checkbox combo slider_float slider_int input_float input_text"
+CONTROLS += " selectable tree_node collapsing_header begin_menu menu_item"
+LIKE_OTHERS = {"menu_item": "menu ", "collapsing_header": "section "}
+
+
+class Boxes(dict[str, tuple[float, float, float, float]]):
+    """The controls of the last frame, by their names: their left, upper, right and lower sides."""
+
+    def at(self, name: str, across: float = 0.5) -> tuple[float, float]:
+        left, top, right, bottom = self[name]
+        return left + across * (right - left), 0.5 * (top + bottom)
+
+    def place(self, name: str) -> tuple[float, float]:
+        """A place on a control near its left end."""
+        left, top, right, bottom = self[name]
+        return left + min(right - left, 24) / 2, 0.5 * (top + bottom)
+
+
+def short(function: str, label: str) -> str:
+    return LIKE_OTHERS.get(function, "") + label.rpartition("###")[2]
+
+
+def watch(patch: pytest.MonkeyPatch, named: Callable[[str, str], str] = short) -> Boxes:
+    """Keep where the controls of each frame are, by what their functions and labels are named."""
+    found = Boxes()
+    for name in CONTROLS.split():
         draw = getattr(imgui, name)
 
         def drawn(label: str, *rest: Any, name: str = name, draw: Any = draw, **options: Any) -> Any:
             made = draw(label, *rest, **options)
-            put(name, label, imgui.get_item_rect_min(), imgui.get_item_rect_max())
+            low, high = imgui.get_item_rect_min(), imgui.get_item_rect_max()
+            found[named(name, label)] = low.x, low.y, high.x, high.y
             return made
 
         patch.setattr(imgui, name, drawn)
+    return found
 
 
-def handle_of(low: Any, high: Any) -> tuple[float, float]:
-    """A place on a control near its left end."""
-    return low.x + min(high.x - low.x, 24) / 2, (low.y + high.y) / 2
+def written(patch: pytest.MonkeyPatch) -> list[tuple[str, float, float, float, float]]:
+    """Keep what is written over the views, and the box of each."""
+    from supple.viewer.panels import overlay
+
+    boxes: list[tuple[str, float, float, float, float]] = []
+    write: Callable[..., None] = overlay._text
+
+    def watched(lines: Any, at: Any, said: str, colour: int = 0, align: Any = (0.0, 0.0)) -> None:
+        wide, high = imgui.calc_text_size(said)
+        left, top = at[0] - align[0] * wide, at[1] - align[1] * high
+        boxes.append((said, left, top, left + wide, top + high))
+        write(lines, at, said, colour or overlay._LETTERS, align)
+
+    patch.setattr(overlay, "_text", watched)
+    return boxes
+
+
+def settled(view: Any, hand: Hand) -> np.ndarray:
+    """What is drawn once nothing is still to come, in full."""
+    wait_for(lambda: hand.canvas.draw() is not None and view.painter.ready, 60.0, every=0.02)
+    view._changed_at = -10.0
+    return np.asarray(hand.canvas.draw())[..., :3].astype(int)
 
 
 def small_photo(folder: Path) -> Path:

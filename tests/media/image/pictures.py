@@ -1,10 +1,7 @@
 """Pictures for tests, saved by libvips, and how refusals are looked at."""
 
 import numpy as np
-import pytest
 import pyvips
-
-from supple.errors import SuppleError
 
 FORMATS = (".png", ".jpg", ".tif", ".webp", ".avif")
 SAVERS = {".png": "pngsave", ".jpg": "jpegsave", ".tif": "tiffsave", ".webp": "webpsave", ".avif": "heifsave"}
@@ -51,15 +48,6 @@ def loaded(path):
     """Read an image with pyvips alone: its pixels as they stand in the file, and its header."""
     image = pyvips.Image.new_from_buffer(path.read_bytes(), "")
     return image.numpy(), {name: image.get(name) for name in image.get_fields()}
-
-
-def refused(action, *arguments, **options):
-    """Return the one line that an action is refused with."""
-    with pytest.raises(SuppleError) as caught:
-        action(*arguments, **options)
-    message = str(caught.value)
-    assert "\n" not in message
-    return message
 
 
 SOURCES = (".jpg", ".png", ".webp", ".avif")

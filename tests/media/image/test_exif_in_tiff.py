@@ -113,8 +113,7 @@ class TestExifInTiff:
         save_tiff(tmp_path / "in.tif", smooth(20, 30, dtype), TAGS, order, big)
         picture = read(tmp_path / "in.tif")
         np.testing.assert_array_equal(picture.pixels, UPRIGHT[6](smooth(20, 30, dtype)))
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", DepthWarning)
+        with warnings.catch_warnings(action="ignore", category=DepthWarning):
             for suffix in FORMATS:
                 write(tmp_path / f"out{suffix}", picture.pixels, like=picture)
                 assert includes(told(tmp_path / f"out{suffix}"), wanted)

@@ -156,8 +156,7 @@ class TestRaw:
         red, blue = (picture.pixels[16:48, part].mean(axis=(0, 1)) for part in (slice(12, 36), slice(60, 84)))
         assert red[0] > 1.5 * red[1:].max()
         assert blue[2] > 1.5 * blue[:2].max()
-        with warnings.catch_warnings():
-            warnings.simplefilter("error")
+        with warnings.catch_warnings(action="error"):
             warp_file(tmp_path / "in.dng", tmp_path / "out.tif", DRAG)
         with Image.open(tmp_path / "out.tif") as made:
             assert made.getexif()[271] == "Maker"

@@ -107,8 +107,7 @@ class TestHeaders:
             across, up = up, across
         options = {"compression": "av1"} if source == ".avif" else {}
         getattr(image, SAVERS[source])(str(tmp_path / f"in{source}"), **options)
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", MetadataWarning)
+        with warnings.catch_warnings(action="ignore", category=MetadataWarning):
             picture = read(tmp_path / f"in{source}")
             for target in FORMATS:
                 write(tmp_path / f"out{target}", picture.pixels, like=picture)

@@ -10,7 +10,8 @@ import supple
 from supple.media.image import DepthWarning, info, read, write
 from supple.media.image.formats import settings as saver_settings
 from supple.media.pictures import TIFF
-from tests.media.image.pictures import BLOB, FORMATS, SAVERS, noise, refused, save, smooth
+from tests.media.image.pictures import BLOB, FORMATS, SAVERS, noise, save, smooth
+from tests.refusals import refused
 
 CMYK = bytes(pyvips.Operation.call("profile_load", "cmyk"))
 

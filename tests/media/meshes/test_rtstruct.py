@@ -15,6 +15,7 @@ from supple.files.landmarks import move_points, warn_of_frame
 from supple.media.meshes import PointFile
 from supple.media.points import read_points, write_points
 from supple.media.volume import read, write
+from tests import refusals
 from tests.media.meshes.contours import circle, contour, contours, points_of, structures
 from tests.media.volume.test_dicom import slices
 from tests.media.volume.test_frames import DIRECTION, PLACES, enhanced
@@ -38,8 +39,7 @@ def test_within_their_planes_contours_stay_planar(tmp_path: Path) -> None:
     read = opened(source)
     x, y, z = read.points.T
     moved = np.stack([x + np.where(z < 1, 0, y / 7), y, z], axis=-1)  # the first contour stays
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
+    with warnings.catch_warnings(action="error"):
         write_points(tmp_path / "out.dcm", moved, read)
     before, after = contours(source), contours(tmp_path / "out.dcm")
     np.testing.assert_allclose(np.concatenate([points_of(c) for c in after]), moved, rtol=0, atol=1e-9)
@@ -115,9 +115,7 @@ def test_what_is_none(tmp_path: Path) -> None:
 
     def refused(name: str, data: bytes) -> str:
         (tmp_path / name).write_bytes(data)
-        with pytest.raises(SuppleError) as caught:
-            opened(tmp_path / name)
-        return str(caught.value).removeprefix(f"cannot read {tmp_path / name}: ")
+        return refusals.refused(opened, tmp_path / name).removeprefix(f"cannot read {tmp_path / name}: ")
 
     assert refused("text.dcm", b"no DICOM").startswith("it is no whole DICOM file (")
     assert refused("ct.dcm", whole.replace(b"1.1.481.3", b"1.1.481.2")).startswith("it is no structure set of contours")
@@ -152,8 +150,8 @@ def test_it_refers_to_another_series(tmp_path: Path, many: bool) -> None:
     known.ROIContourSequence.append(item(ReferencedROINumber=2, ContourSequence=[contour(circle(0) + 999)]))
     known.save_as(source)
     assert np.abs((places - centre) @ normal).max() < 5  # the slices are stacked along it
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # points are outside, and the enhanced file has another frame of reference
+    with warnings.catch_warnings(action="ignore"):
+        # points are outside, and the enhanced file has another frame of reference
         move_points(source, tmp_path / "out.dcm", Deformation((4, 5, 6)), read(series).geometry, refer_to=series)
     made = pydicom.dcmread(tmp_path / "out.dcm")
     assert made.SOPInstanceUID != known.SOPInstanceUID  # also if nothing has moved

@@ -18,6 +18,7 @@ from supple.media.stores.image import open_image
 from supple.media.stores.places import Place, overlap
 from supple.media.stores.target import create
 from tests.media.stores.images import RNG, boxes, child, files, fill, image, part, small, whole
+from tests.refusals import refused
 
 
 @pytest.mark.parametrize("remote", [False, True])
@@ -35,14 +36,12 @@ def test_existing_outputs_and_other_jobs(remote: bool, tmp_path: Path, memory: s
     ):
         create(out, like, job="two")
     assert create(out, like, job="one", force=True).is_done(0, box)
-    with pytest.raises(SuppleError, match="of another job"):
-        create(out, like, shape=(4, 5, 5), job="one")
+    refused(create, out, like, shape=(4, 5, 5), job="one", match="of another job")
     anew = create(out, like, job="two", force=True)
     assert not anew.is_done(0, box)
     fill(anew, values)
     anew.finish()
-    with pytest.raises(SuppleError, match=r"exists already: choose another name, or force=True"):
-        create(out, like, job="two")
+    refused(create, out, like, job="two", match=r"exists already: choose another name, or force=True")
     other = create(out, like, job="three", force=True)
     assert not other.is_done(0, box)
     if not remote:
@@ -67,13 +66,11 @@ def test_what_is_no_store_is_never_replaced(force: bool, tmp_path: Path, memory:
     fsspec.filesystem("memory").pipe(f"{memory}/photos/one.png", b"one")
     for address in (tmp_path / "photos", tmp_path / "a.zarr", tmp_path / "file.zarr", f"{memory}/photos"):
         expected = "no Zarr store|in the way" if force else "exists already|in the way"
-        with pytest.raises(SuppleError, match=expected):
-            create(address, like, job="a", force=force)
+        refused(create, address, like, job="a", force=force, match=expected)
     assert (tmp_path / "photos" / "one.png").read_text() == "one"
     assert (tmp_path / "a.zarr.partial" / "one.png").read_text() == "one"
     assert fsspec.filesystem("memory").cat(f"{memory}/photos/one.png") == b"one"
-    with pytest.raises(SuppleError, match="there is no folder"):
-        create(tmp_path / "no" / "out.zarr", like, job="a", force=force)
+    refused(create, tmp_path / "no" / "out.zarr", like, job="a", force=force, match="there is no folder")
 
 
 def test_spellings_of_a_place(tmp_path: Path) -> None:
@@ -246,8 +243,7 @@ def test_a_clearing_that_was_interrupted_begins_again(
         with pytest.raises(Stopped):
             create(out, like, job="two", force=True)
     for job in ("one", "two"):
-        with pytest.raises(SuppleError, match="unfinished output of another job"):
-            create(out, like, job=job)
+        refused(create, out, like, job=job, match="unfinished output of another job")
     second = create(out, like, job="two", force=True)
     assert not second.begun
     assert not any(second.is_done(0, box) for box in boxes(second, 0))

@@ -99,8 +99,7 @@ def test_data_is_named(tmp_path, kind, told, chapters):
 @pytest.mark.parametrize(("kind", "kept"), [(b"gpmd", True), (b"camm", False), (b"mebx", False)])
 def test_data_comes_through_if_its_kind_does(tmp_path, kind, kept):
     source = renamed(clips.make(tmp_path / "t.mov", tags={"timecode": "01:00:00:00"}), tmp_path / "a.mov", kind)
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
+    with warnings.catch_warnings(record=True, action="always") as caught:
         copy(source, tmp_path / "b.mov")
     assert len(caught) == (not kept)
     assert clips.parcels(tmp_path / "b.mov", "data") == (clips.parcels(source, "data") if kept else [])
@@ -123,8 +122,7 @@ def test_how_often_it_plays_comes_through(tmp_path, count, plays):
     assert info(tmp_path / "a.gif")["plays"] == plays
     copy(tmp_path / "a.gif", tmp_path / "b.gif")
     assert repeats(tmp_path / "b.gif") == count
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
+    with warnings.catch_warnings(record=True, action="always") as caught:
         copy(tmp_path / "a.gif", tmp_path / "b.mkv", codec="ffv1")
     assert [" plays " in str(each.message) for each in caught] == [True] * (plays != 1)
 
@@ -277,8 +275,7 @@ def test_field_order_comes_through(tmp_path, source, codec, pixel_format, target
 def test_field_order_that_only_the_container_says_is_kept_or_its_loss_said(tmp_path, codec, target, kept):
     source = interlaced(tmp_path / "a.mkv", codec, "yuv420p", "bottom", coded=False)
     assert (fields_of(source), info(source)["fields"]) == ((3, ""), "bottom")
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
+    with warnings.catch_warnings(record=True, action="always") as caught:
         copy(source, tmp_path / f"b.{target}")
     told = [str(each.message).partition(f"b.{target} ")[2] for each in caught]
     assert told == ([] if kept else ["cannot say that frames are interlaced, bottom field first"])

@@ -45,8 +45,7 @@ from tests.media.video.copies import assert_nothing_left, copy, read
 def test_the_codec_is_the_sources_or_the_containers(tmp_path, codec, suffix, target, want, said):
     form, size = ("rgb24", (64, 48)) if codec == "qtrle" else ("yuv420p", (176, 144) if codec == "rv10" else (64, 48))
     source = clips.make(tmp_path / f"a.{suffix}", codec, form, count=10, size=size)
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
+    with warnings.catch_warnings(record=True, action="always") as caught:
         copy(source, tmp_path / f"b.{target}")
     assert [str(each.message).partition(f"b.{target} ")[2] for each in caught] == ([said] if said else [])
     assert info(tmp_path / f"b.{target}")["codec"] == want
@@ -178,8 +177,7 @@ def test_values_stay_where_depth_and_chroma_grow(tmp_path):
 @pytest.mark.parametrize("codec", ["h264", "hevc", "vp9", "ffv1", "mpeg4"])
 def test_odd_sizes(tmp_path, size, codec):
     source = clips.make(tmp_path / "a.nut", "rawvideo", "yuv420p", 3, size)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", ClipWarning)
+    with warnings.catch_warnings(action="ignore", category=ClipWarning):
         if size[0] < 16 and codec == "hevc":
             with pytest.raises(SuppleError, match="does not take frames of"):
                 copy(source, tmp_path / "b.mkv", codec=codec)
@@ -202,8 +200,7 @@ def test_every_codec_that_is_listed_can_be_written(tmp_path, container):
     listed = str(told.value).rpartition("use ")[2].split(", ")
     assert container.usual in listed
     for codec in listed:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", ClipWarning)  # of pixel formats
+        with warnings.catch_warnings(action="ignore", category=ClipWarning):  # of pixel formats
             copy(source, target, codec=codec)
         with av.open(str(target)) as made:
             assert made.streams.video[0].codec_context.codec.canonical_name == codec
@@ -257,7 +254,6 @@ def test_depth_is_said_to_be_lost_if_a_frame_has_it(tmp_path, lost):
             frame.pts = k
             out.mux(film.encode(frame))
         out.mux(film.encode(None))
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
+    with warnings.catch_warnings(record=True, action="always") as caught:
         copy(tmp_path / "a.mkv", tmp_path / "b.mkv", codec="h264")
     assert ["loses depth (12 to 10 bits)" in str(each.message) for each in caught] == [True] * lost

@@ -59,8 +59,7 @@ def test_grading_comes_through(tmp_path):
 def test_grading_that_is_lost_is_said(tmp_path, target, codec):
     params = "log-level=none:hdr10=1:max-cll=1000,400"
     source = clips.make(tmp_path / "a.mp4", "libx265", "yuv420p10le", options={"x265-params": params})
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
+    with warnings.catch_warnings(record=True, action="always") as caught:
         copy(source, tmp_path / target, codec=codec)
     told = f"loses the light levels of HDR, which {codec} cannot hold"
     assert sum(told in str(warning.message) for warning in caught) == 1
@@ -93,13 +92,12 @@ def test_opacity_that_the_container_drops_is_said(tmp_path):
 @pytest.mark.parametrize(("opacity", "told"), [((0, 255), False), ((0, 128), True)])
 def test_half_opacity_that_gif_drops_is_said(tmp_path, opacity, told):
     source = clips.make(tmp_path / "a.mkv", "ffv1", "bgra", count=3)
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
-        with open_video(source) as clip, clip.writer(tmp_path / "b.gif") as sink:
-            for k, frame in enumerate(clip.frames()):
-                arrays = arrays_of(clip, frame)
-                arrays[0][..., 3] = opacity[k % 2]
-                sink.write(arrays, k)
+    heard = warnings.catch_warnings(record=True, action="always")
+    with heard as caught, open_video(source) as clip, clip.writer(tmp_path / "b.gif") as sink:
+        for k, frame in enumerate(clip.frames()):
+            arrays = arrays_of(clip, frame)
+            arrays[0][..., 3] = opacity[k % 2]
+            sink.write(arrays, k)
     assert len(caught) == told
     assert not told or "half transparent" in str(caught[0].message)
 

@@ -103,15 +103,13 @@ def test_a_warning_says_how_much_of_a_cut_clip_is_lost(tmp_path, suffix, codec, 
         out.mux(stream.encode(None))
     data = (tmp_path / f"a.{suffix}").read_bytes()
     (tmp_path / f"part.{suffix}").write_bytes(data[: len(data) // 3])
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
+    with warnings.catch_warnings(record=True, action="always") as caught:
         count = copy(tmp_path / f"part.{suffix}", tmp_path / "b.mkv")
     assert 10 <= count <= 18
     lost = f"{45 - count} of its 45 frames ({(45 - count) / 25:.2f} of 1.80 s) are lost"
     assert lost in str(caught[-1].message)
     assert all("damaged" in str(each.message) for each in caught)
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
+    with warnings.catch_warnings(action="error"):
         assert copy(tmp_path / f"a.{suffix}", tmp_path / "c.mkv") == 45
 
 
@@ -145,8 +143,7 @@ def test_lists_of_files_are_not_followed(tmp_path):
 def test_a_clip_that_begins_late_is_not_damaged(tmp_path):
     times = [10**8 + 40 * k for k in range(5)]
     source = clips.make(tmp_path / "a.mkv", "ffv1", count=5, times=times, base=Fraction(1, 1000))
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
+    with warnings.catch_warnings(action="error"):
         copy(source, tmp_path / "b.mkv")
     assert [t * 1000 for t in clips.when(tmp_path / "b.mkv")] == times
 

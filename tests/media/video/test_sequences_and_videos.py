@@ -144,8 +144,7 @@ def test_lossless_codecs_keep_every_bit(
     tmp_path: Path, shape: tuple[int, ...], dtype: str, name: str, codec: str
 ) -> None:
     kept = save(tmp_path / "in", numbers(1, 3), shape=shape, dtype=dtype)
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
+    with warnings.catch_warnings(action="error"):
         film(tmp_path / "in", tmp_path / name, codec=codec)
     _, frames = shot(tmp_path / name)
     assert len(frames) == 3
@@ -185,14 +184,12 @@ def test_what_a_film_of_pictures_loses_is_said_and_what_keeps_it(
     tmp_path: Path, kind: str, codec: str, lost: str, keeps: str
 ) -> None:
     gradients(tmp_path / "in", 1, kind)
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
+    with warnings.catch_warnings(record=True, action="always") as caught:
         film(tmp_path / "in", tmp_path / "a.mkv", codec=codec)
     told = f"{tmp_path / 'a.mkv'} loses {lost}" + (f": --pixel-format {keeps} keeps more" if keeps else "")
     assert [str(warning.message) for warning in caught] == [told]
     if keeps:
-        with warnings.catch_warnings():
-            warnings.simplefilter("error")
+        with warnings.catch_warnings(action="error"):
             film(tmp_path / "in", tmp_path / "b.mkv", codec=codec, pixel_format=keeps)
         assert info(tmp_path / "b.mkv")["pixel_format"] == keeps
 

@@ -15,6 +15,7 @@ from supple.files import warp_file
 from supple.files.options import GridOptions, VolumeOptions
 from supple.media.volume import info, is_volume, outline_of, read, write
 from supple.media.volume.mgh import _TYPES
+from tests import refusals
 from tests.media.volume import volumes
 
 SHAPE = (9, 7, 5)  # x first
@@ -123,9 +124,7 @@ def test_damage_is_told_in_one_sentence(tmp_path: Path) -> None:
         (data[:30] + b"\x7f\xc0\0\0" * 15 + data[90:], "its spacing is nan x nan x nan"),
     ):
         path.write_bytes(damaged)
-        with pytest.raises(SuppleError, match=f"^cannot read .*in.mgh: .*{text}") as caught:
-            read(path)
-        assert "\n" not in str(caught.value)
+        refusals.refused(read, path, match=f"^cannot read .*in.mgh: .*{text}")
     packed = tmp_path / "in.mgz"
     packed.write_bytes(gzip.compress(data)[:-400])
     with pytest.raises(SuppleError, match=r"in.mgz: it is cut short"):

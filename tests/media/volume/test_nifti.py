@@ -129,8 +129,7 @@ class TestNIfTI:
         for sizes, differ in (((2, 2, 3), False), ((2, 2, 3.01), False), ((1, 1, 1), True), ((2, 2, 4), True)):
             made.header["pixdim"][1:4] = sizes
             made.to_filename(tmp_path / "in.nii")
-            with warnings.catch_warnings(record=True) as told:
-                warnings.simplefilter("always")
+            with warnings.catch_warnings(record=True, action="always") as told:
                 assert read(tmp_path / "in.nii").geometry.spacing == pytest.approx((2, 2, 3))
             assert [str(w.message).endswith("and 3D Slicer use pixdim") for w in told] == [True] * differ
 

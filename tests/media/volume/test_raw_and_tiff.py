@@ -10,6 +10,7 @@ import tifffile
 
 from supple.errors import SuppleError, VolumeWarning
 from supple.media.volume import RawLayout, has_pages, read, write
+from tests import refusals
 from tests.media.volume.volumes import DTYPES, SHAPE, SPACING, noise, refused, volume
 
 
@@ -70,9 +71,7 @@ class TestRaw:
         ],
     )
     def test_layouts_that_cannot_be(self, arguments, told):
-        with pytest.raises(SuppleError) as caught:
-            RawLayout(*arguments)
-        assert str(caught.value).startswith(f"{told} must be")
+        assert refusals.refused(RawLayout, *arguments).startswith(f"{told} must be")
 
 
 class TestTIFF:
