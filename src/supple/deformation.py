@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import inspect
 import math
-import warnings
 from collections.abc import Callable, Collection, Sequence
 from copy import copy
 from dataclasses import dataclass, field, replace
@@ -20,7 +19,7 @@ from supple.engine.core import measured, plan_of
 from supple.engine.devices import is_on_device
 from supple.engine.sampling import DEFAULT, Certificate, Sampling, SamplingFields, warn_of
 from supple.engine.work import Mattes, Space, mask_of, on_grid, shown_mask
-from supple.errors import FoldWarning, MissWarning, OutsideWarning, SuppleError, argument, caller, numbered, shown
+from supple.errors import FoldWarning, MissWarning, OutsideWarning, SuppleError, argument, numbered, shown, warn
 from supple.fields import Field, Placed, check_path, folds_of
 from supple.folding.limits import NEAR, farthest
 from supple.folding.resolved import FREE_ENOUGH, Resolved, apart, described, freedom_at, padded, spelled
@@ -858,7 +857,7 @@ class Deformation:
             what = "field" if isinstance(placed.map, Field) else "affine map"
             raise SuppleError(f"the {what} has {placed.map.ndim} axes, and the shape {self.shape} has {self.ndim}")
         if warn:
-            warn_of(Certificate(), math.inf, 4, folds_of([placed]))
+            warn_of(Certificate(), math.inf, folds_of([placed]))
         here, points = replace(placed, after=len(self.strokes), row=len(self._space.rows)), self._points.copy()
         if len(points):
             points[:, 1:] = self._moved(placed, points[:, 1:].reshape(-1, 3)).reshape(-1, 2, 3)
@@ -882,7 +881,7 @@ class Deformation:
         float64 array, shape (..., D)
         """
         found, certificate = place_of(points).forward(self.space, points)
-        warn_of(certificate, 1.0, 3)
+        warn_of(certificate, 1.0)
         return found  # type: ignore[no-any-return]
 
     def jacobian(self, points: npt.ArrayLike) -> Floats:
@@ -894,7 +893,7 @@ class Deformation:
             Row i, column j is ∂T_i/∂x_j, in pixels per pixel.
         """
         found, certificate = place_of(points).forward(self.space, points, matrices=True)
-        warn_of(certificate, 1.0, 3)
+        warn_of(certificate, 1.0)
         return found  # type: ignore[no-any-return]
 
     def inverse(self, points: npt.ArrayLike) -> Inverse:
@@ -916,7 +915,7 @@ class Deformation:
             If an inverted field folds at some of the points, or no point of its grid leads to them.
         """
         found, certificate = place_of(points).inverse(self.space, points)
-        warn_of(certificate, 1.0, 3)
+        warn_of(certificate, 1.0)
         return Inverse(*found)
 
     def certified(self, points: npt.ArrayLike, *, inverse: bool = False) -> Certified:
@@ -935,7 +934,7 @@ class Deformation:
             If a field that has to be inverted folds at some of the points, or no point of its grid leads to them.
         """
         found, certificate = core.certified(self.space, points, back=flag("inverse", inverse))
-        warn_of(certificate, 1.0, 3)
+        warn_of(certificate, 1.0)
         return Certified(*found)
 
     def inverse_map(self, *, tolerance: float = 0.01, like: Any = None) -> npt.NDArray[np.float32]:
@@ -961,7 +960,7 @@ class Deformation:
             found, certificate = place_of(like).inverse_map(space, tolerance, like)
         else:
             refuse("like", "an array on a CUDA device, or left out", like)
-        warn_of(certificate, tolerance, 3)
+        warn_of(certificate, tolerance)
         return found
 
     def warp(
@@ -1065,7 +1064,7 @@ class Deformation:
         else:
             made, certificate = warp_array(source, space, sampling, alpha=alpha, clamp=clamp, device=device, out=out)
         unit = "voxels" if space.ndim == 3 and not self.domain.time else "px"
-        warn_of(certificate, sampling.tolerance, 3, unit=unit)
+        warn_of(certificate, sampling.tolerance, unit=unit)
         return made if image is None else image.like(made, grid or (self.output if self.straightened else None))
 
     def _own(self, own: Grid, output: Grid | None) -> Grid | None:
@@ -1101,7 +1100,7 @@ class Deformation:
         for z in which if not space.is_identity else ():
             plan = plan_of(space, z, tolerance)
             certificate |= measured(plan, tolerance)
-            turned += plan.folds
+            turned += plan.checks[3]
         size = float(np.prod(shape)) * len(which) / count
         return Report(
             **self.resolution(),
@@ -1267,4 +1266,4 @@ def _warn(text: str | None, category: type[Warning], say: Callable[[str, type[Wa
     if text and say is not None:
         say(text, category)
     elif text:
-        warnings.warn(text, category, stacklevel=caller())
+        warn(text, category)

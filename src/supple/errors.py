@@ -170,19 +170,14 @@ class GapWarning(UserWarning):
     """Voxels are not finite numbers, and spread to their neighbours."""
 
 
-def caller() -> int:
-    """Return the ``stacklevel`` by which a warning of the calling function names the first caller outside Supple."""
-    level, frame = 1, sys._getframe(1)
+def warn(text: str, category: type[Warning]) -> None:
+    """Warn, with the line of the first caller outside Supple."""
+    level, frame = 1, sys._getframe()
     # Those of the standard library call what Supple decorates: properties that are cached, and contexts.
     own = ("supple", "contextlib", "functools")
     while frame.f_back is not None and frame.f_globals.get("__name__", "").partition(".")[0] in own:
         level, frame = level + 1, frame.f_back
-    return level
-
-
-def warn(text: str, category: type[Warning]) -> None:
-    """Warn, with the line of the first caller outside Supple."""
-    warnings.warn(text, category, stacklevel=caller())
+    warnings.warn(text, category, stacklevel=level)
 
 
 def said(error: BaseException) -> str:

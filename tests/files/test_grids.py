@@ -154,8 +154,8 @@ class TestMapsOnFiles:
         values[:, :, 8:] = -6.0 * np.array(grid.direction)[:, 0]
         placed = Placed(Field(values, grid), True, name="u.nii")
         said = (
-            r"^u\.nii folds in [\d,]+ of its 3,315 cells: where folds are mapped to, the inverse is one of several points"
-            r"(; \d+ of the points shown lie in a part that is turned over)?"
+            r"^u\.nii folds in [\d,]+ of its 3,315 cells: where folds are mapped to, the inverse is one of several "
+            r"points(; \d+ of the points shown lie in a part that is turned over)?"
             r"(; for \d+ points no solution was found, and a guess is shown)? "
             r"\(the statuses of supple invert show where\)$"
         )

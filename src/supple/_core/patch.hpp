@@ -80,7 +80,22 @@ INLINE V off_chain(const Chain& chain, const Axis* axes, const V (*c)[16], V s, 
     }
     return off2;
 }
-// The same for a composite, from its solution at q.
+// The squared length of that step by the Jacobian of T, which that of a patch is far from where T⁻¹ is steep at once.
+template <int D, class V>
+INLINE V off_newton(const Chain& chain, const Axis* axes, const V (*c)[16], V s, V t, const V* q) {
+    V x[D], ds, dt, e[D], m[D][D], off2{};
+    for (int d = 0; d < D; d++) x[d] = at(c[d], s, t, ds, dt) * axes[d].spacing;
+    auto jet = jet_at<D, D>(x);
+    carry(chain, axes, jet);
+    invert(jet.t, m);
+    for (int d = 0; d < D; d++) e[d] = jet.x[d] - q[d] * axes[d].spacing;
+    for (int d = 0; d < D; d++) {
+        const V step = times<D>(m, e, d) / axes[d].spacing;
+        off2 += step * step;
+    }
+    return off2;
+}
+// The step for a composite, from its solution at q.
 template <int D, class V>
 INLINE V off_composite(const Composite& map, const Axis* axes, const V (*c)[16], V s, V t, const V* q, V* step,
                        V& steps) {

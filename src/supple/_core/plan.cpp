@@ -519,6 +519,7 @@ void Plan<D>::check(Work& w) {
                 for (int i = 0; i < LANES && start + i < count; i++) w.band->evaluations += steps[i];
             } else
                 off = off_chain<D>(chain, axes.data(), c, s, t, q, across_plane, g);
+            if (!map && n == 0) off = most(off, off_newton<D>(chain, axes.data(), c, s, t, q));
             for (int d = 0; n < 5 && d < D; d++) step[n][d] = g[d];
             off = choose(off == off, off, splat<Lanes>(1e300));
             worst = most(worst, off);

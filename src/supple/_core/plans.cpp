@@ -257,7 +257,6 @@ void bind_plans(nb::module_& m) {
             },
             "map"_a, "height"_a, "width"_a, "z"_a, "tolerance"_a, "box"_a = nb::none(), nb::keep_alive<1, 2>())
         .def_prop_ro("checks", [](const AnyPlan& p) { return values_of({p.checks()}); })
-        .def_prop_ro("folds", [](const AnyPlan& p) { return p.checks().folds; })
         .def_prop_ro("identity", [](const AnyPlan& p) { return p.with([](auto& plan) { return plan.identity; }); })
         .def_prop_ro("nbytes", [](const AnyPlan& p) { return p.with([](auto& plan) { return plan.nbytes(); }); })
         .def(

@@ -207,7 +207,6 @@ def certificate_of_status(status: npt.NDArray[np.uint8]) -> Certificate:
 def warn_of(
     certificate: Certificate,
     tolerance: float,
-    stacklevel: int = 0,
     folds: str = "",
     field_name: str = "a field",
     unit: str = "px",
@@ -215,7 +214,7 @@ def warn_of(
     """Warn if a map may be less accurate than the tolerance, or has folds or gaps.
 
     ``folds`` names the inverted fields that fold, if any, so that all folds are in one warning. ``field_name`` is the
-    name of the field, if there is only one. ``stacklevel`` has no effect.
+    name of the field, if there is only one.
     """
     if folds or certificate.unknown or certificate.folded:
         told = [f"{folds or f'{field_name} folds'}: where folds are mapped to, the inverse is one of several points"]

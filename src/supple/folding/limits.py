@@ -525,5 +525,5 @@ def _conflict(stroke: Stroke, start: Floats, goal: Floats, domain: Domain) -> st
         return f"{why}; use a larger radius, or other targets"
     one, other = (f"{_handle(stroke, k, domain)}, dragged by {spelled(stroke.handles[k][1])}" for k in (int(i), int(j)))
     if ways[0][i, j] < _MEETING * math.dist(start[i], start[j]):  # no radius helps
-        return f"{one}, and {other}, meet on their straight ways; use other targets, or two strokes, one after the other"
+        return f"{one}, and {other}, meet on their straight ways; use other targets, or one stroke after the other"
     return f"{one}, and {other}, pull against each other; use a larger radius, or other targets"

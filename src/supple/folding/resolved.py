@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
@@ -13,7 +12,7 @@ import numpy.typing as npt
 from supple import _core
 from supple._core.rows import numbers
 from supple.engine.work import mask_of
-from supple.errors import OutsideWarning, argument, caller, current_spelling, numbered, shown
+from supple.errors import OutsideWarning, argument, current_spelling, numbered, shown, warn
 from supple.space.domain import Domain, border_factor
 from supple.space.geometry import Floats
 from supple.strokes import Stroke
@@ -89,7 +88,7 @@ def warn_of_still(strokes: Sequence[Stroke]) -> None:
         if stroke.is_still and not stroke.hidden and stroke.brush != "freeze":
             which = f"stroke {i + 1} of {len(strokes)}: " if len(strokes) > 1 else ""
             text = f"{which}{described(stroke)} moves nothing: give it another amount, or leave it out"
-            warnings.warn(text, OutsideWarning, stacklevel=caller())
+            warn(text, OutsideWarning)
 
 
 def located(place: Sequence[float]) -> str:

@@ -7,7 +7,6 @@ import errno
 import itertools
 import struct
 import tempfile
-import warnings
 import zlib
 from collections.abc import Iterator, Sequence
 from fractions import Fraction
@@ -15,7 +14,7 @@ from pathlib import Path
 from typing import IO, Any
 
 from supple.engine.work import Array
-from supple.errors import shown
+from supple.errors import shown, warn
 from supple.media.base import ClipWarning
 from supple.media.files import PathLike, replacing
 from supple.media.image.formats import bounds
@@ -139,7 +138,7 @@ def writer(clip: Any, target: PathLike, *, force: bool = False, **options: Any) 
     """
     if clip.unpictured:
         text = f"{shown(target)} gets pictures alone, without the {' and the '.join(clip.unpictured)} of {clip.name}"
-        warnings.warn(text, ClipWarning, stacklevel=3)
+        warn(text, ClipWarning)
     with (
         replacing(target, force=force) as temporary,
         tempfile.TemporaryDirectory(prefix=".", dir=temporary.parent) as folder,

@@ -19,7 +19,7 @@ import pyvips
 
 from supple.engine.stream import Frame
 from supple.engine.work import Array, Group, Layout
-from supple.errors import SuppleError, shown
+from supple.errors import SuppleError, shown, warn
 from supple.media import image as pictures
 from supple.media.base import ClipWarning, FrameSource, LazyFrame
 from supple.media.files import PathLike, check_outputs, first_bytes, replacing_all
@@ -51,7 +51,7 @@ class Pictures(FrameSource):
         self.interpretation, self.extra = str(image.interpretation), _extra(image)
         if facts(image)[0] > 1:
             text = f"{shown(paths[0])} holds several pages or frames, and only one of each picture is read"
-            warnings.warn(text, PageWarning, stacklevel=3)
+            warn(text, PageWarning)
         for path in paths[1:]:
             _require(path, _layout(path, opened(path)[0]), self.layout, shown(paths[0]))
 
@@ -239,7 +239,7 @@ def open_clip(path: PathLike, *, rate: float | Fraction = 24, target: PathLike |
             return
         if lost := exr.read(paths[0]).lost(exr=False):
             text = f"{shown(target)} cannot take over {' and '.join(lost)} of {shown(path)}"
-            warnings.warn(text, MetadataWarning, stacklevel=3)
+            warn(text, MetadataWarning)
     yield Pictures(shown(os.fspath(path)), paths, known, first)
 
 
@@ -306,7 +306,7 @@ class PictureSink:
         self._said: set[str] = set()
         if clip.aspect not in (None, 1):
             wide = f"pixels are {clip.aspect} as wide as high: they are left as they are stored"
-            warnings.warn(f"{shown(folder / names(0))} cannot say that {wide}", ClipWarning, stacklevel=4)
+            warn(f"{shown(folder / names(0))} cannot say that {wide}", ClipWarning)
         self.copied = 0  # the number of files copied from the source
 
     def write(self, arrays: Sequence[Array], k: int, *, still: bool = False) -> None:
@@ -358,7 +358,7 @@ class PictureSink:
         """Warn of each kind of loss once, not for every frame."""
         if kind not in self._said:
             self._said.add(kind)
-            warnings.warn(text, category, stacklevel=3)
+            warn(text, category)
 
 
 @contextlib.contextmanager
@@ -397,7 +397,7 @@ def writer(
     check_outputs((folder / each for each in listed), force=force)
     if clip.unpictured and only is None:
         text = f"{shown(folder)} gets pictures alone, without the {' and the '.join(clip.unpictured)} of {clip.name}"
-        warnings.warn(text, ClipWarning, stacklevel=3)
+        warn(text, ClipWarning)
     with replacing_all(folder, force=force) as temporary:
         yield PictureSink(clip, folder, temporary, name, options)
         there: list[Path] = []
@@ -406,7 +406,7 @@ def writer(
         left = len({path.name for path in there} - set(listed))
         if left and only is None:
             text = f"{shown(folder)} also holds {left} other pictures, which are left as they were"
-            warnings.warn(text, ImageWarning, stacklevel=3)
+            warn(text, ImageWarning)
 
 
 def _mirrored(clip: Any, first: int) -> Callable[[int], str]:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import re
 import tempfile
-import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -16,7 +15,7 @@ import numpy as np
 import pyvips
 
 from supple._core import threads
-from supple.errors import GapWarning, LayerWarning, SuppleError, argument, caller, shown
+from supple.errors import GapWarning, LayerWarning, SuppleError, argument, shown, warn
 from supple.media import pictures
 from supple.media.files import PathLike, check_suffix, replacing, unwritable
 from supple.media.image import dpx, exif, formats
@@ -125,12 +124,12 @@ class Picture:
             what = "their neighbours too, as far as the filter reaches" if real else "they are mixed with others"
             advice = "" if real else f": {argument('filter', 'nearest')} keeps them apart"
             text = f"{name}: {count} samples are marked as no data ({nodata:g}), and {what}{advice}"
-            warnings.warn(text, GapWarning, stacklevel=caller())
+            warn(text, GapWarning)
             pixels = np.where(gaps, np.nan, pixels).astype(pixels.dtype) if real else pixels
         if real and averaged and (count := pixels.size - np.count_nonzero(np.isfinite(self.pixels))):
             some = "1 sample is NaN or infinite" if count == 1 else f"{count} samples are NaN or infinite"
             text = f"{name}: {some}, and so are those that are computed from them"
-            warnings.warn(text, GapWarning, stacklevel=caller())
+            warn(text, GapWarning)
         extra = self.meanings
         channels = list(range(self.pixels.shape[2] if self.pixels.ndim == 3 else 1))
         if len(extra) > 1 and 2 in extra:  # opacity weights colours, but not channels of data
@@ -149,7 +148,7 @@ class Picture:
         if regridded and tiff is not None and tiff.has_place:
             header["tiff"] = tiff.without_place()
             text = f"{name}: its georeference is left out, as the grid is another one"
-            warnings.warn(text, MetadataWarning, stacklevel=caller())
+            warn(text, MetadataWarning)
         if self.pages > 1:
             made = made.reshape(-1, *made.shape[2:])
         return replace(self, pixels=made, _header=header)
@@ -224,12 +223,12 @@ def read(path: PathLike, *, pages: bool = False, whole: bool = False) -> Picture
     tall = _all_pages(path, count) if pages and count > 1 and form == "TIFF" else None
     if count > 1 and tall is None:
         what = _SEVERAL.get(form, "pages or frames, and only one of them is read")
-        warnings.warn(f"{name} holds {count} {what}", PageWarning, stacklevel=2)
+        warn(f"{name} holds {count} {what}", PageWarning)
     with reading(path):
         pixels = tall if tall is not None else _decoded(path, image, form, orientation)
         header, lost = collected(path, image, form, orientation >= 5)
     if lost:
-        warnings.warn(f"{name}: {' and '.join(lost)} cannot be carried over", MetadataWarning, stacklevel=2)
+        warn(f"{name}: {' and '.join(lost)} cannot be carried over", MetadataWarning)
     if form in ("AVIF", "HEIF") and 8 < bits < 16:
         widen(pixels, bits)
     icc = header.pop("icc-profile-data", None)
@@ -253,7 +252,7 @@ def warn_of_exact(held: exr.Exr) -> None:
     """Warn of the channels of an OpenEXR that are not filtered."""
     if held.exact:
         text = f"channels take the nearest pixel's values where averages would mean nothing: {held.exact}"
-        warnings.warn(text, LayerWarning, stacklevel=3)
+        warn(text, LayerWarning)
 
 
 def of_layers(held: exr.Exr) -> Picture:
@@ -280,7 +279,7 @@ def _decoded(path: PathLike, image: Any, form: str, orientation: int) -> formats
         pixels = apart(lambda: decoded(image, orientation), image)
         said = next((line.strip() for line in error.detail.splitlines() if "JPEG" in line), "")
         why = f" ({said.partition('VipsJpeg: ')[2] or said})" if said else ""
-        warnings.warn(f"{shown(path)} is damaged{why}: parts of it may be wrong", ImageWarning, stacklevel=4)
+        warn(f"{shown(path)} is damaged{why}: parts of it may be wrong", ImageWarning)
         return pixels
 
 
@@ -429,10 +428,10 @@ def write(
     bits = have if film else bits
     if bits < have:
         text = f"{name}: {form.name} holds {bits} bits a channel, and the {have} of the pixels are rounded"
-        warnings.warn(text, DepthWarning, stacklevel=2)
+        warn(text, DepthWarning)
     if quality is not None and not form.quality:
         text = f"{name}: quality {quality} changes nothing in {form.name}: it is for JPEG, WebP and AVIF"
-        warnings.warn(text, ImageWarning, stacklevel=2)
+        warn(text, ImageWarning)
     image, sized = formats.wrapped(array, meaning, bits), False
     if layers is not None and (unkept := layers.lost(exr=form is pictures.EXR)):
         lost.append(f"{' and '.join(unkept)} of an OpenEXR")
@@ -445,7 +444,7 @@ def write(
         lost += lacking
     if lost:
         text = f"{name}: {form.name} cannot take over {' and '.join(lost)}"
-        warnings.warn(text, MetadataWarning, stacklevel=2)
+        warn(text, MetadataWarning)
     if form is pictures.EXR:
         if alpha:  # EXR is premultiplied
             array = np.concatenate([array[..., :3] * array[..., 3:], array[..., 3:]], axis=2)
@@ -481,7 +480,7 @@ def write(
             options["page_height"] = len(array) // like.pages
     if compression is not None and form.lossless and not options.get("lossless"):
         text = f"{name}: compression {compression} changes nothing in {form.name} with loss: it is for lossless files"
-        warnings.warn(text, ImageWarning, stacklevel=2)
+        warn(text, ImageWarning)
     options |= formats.compressed(form, array, compression, bool(options.get("lossless")))
     with replacing(path, force=force) as temporary, writing(path):
         if form is not pictures.TIFF:

@@ -7,12 +7,11 @@ from __future__ import annotations
 
 import copy
 import io
-import warnings
 from typing import Any
 
 import numpy as np
 
-from supple.errors import SuppleError, VolumeWarning, said, shown
+from supple.errors import SuppleError, VolumeWarning, said, shown, warn
 from supple.media.files import PathLike, unreadable
 from supple.media.meshes import Floats, Part, PointFile, checked, joined, part_of
 from supple.media.volume import Volume
@@ -68,7 +67,7 @@ def parsed(path: PathLike, data: bytes, series: Volume | None = None) -> PointFi
         if bent := [far for far in off if far]:
             text = f"{len(bent)} of {len(ends)} contours of {name} leave their planes, by up to {max(bent):.2g} mm"
             told = "closed ones stay CLOSED_PLANAR, and a program may take each for flat"
-            warnings.warn(f"{text}: {told}", VolumeWarning, stacklevel=4)
+            warn(f"{text}: {told}", VolumeWarning)
         held = io.BytesIO()
         try:
             _renew(made)

@@ -11,14 +11,13 @@ import itertools
 import math
 import os
 import re
-import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from supple.errors import VolumeWarning, listing, said
+from supple.errors import VolumeWarning, listing, said, warn
 from supple.media.files import PathLike
 from supple.media.stores.places import Place, quiet
 from supple.media.transforms.ngff import Json, Refusal, ome_of, parsing, space_matrix
@@ -263,6 +262,6 @@ def _labels(place: Place, group: Any) -> tuple[str, ...]:
         return ()
     except Exception as error:  # damaged or unreachable: only a warning, as the image itself can be read
         what = f"the label images of {place.address} cannot be listed ({said(error)})"
-        warnings.warn(what, VolumeWarning, stacklevel=6)
+        warn(what, VolumeWarning)
         return ()
     return tuple(map(str, listed)) if isinstance(listed, list) else ()

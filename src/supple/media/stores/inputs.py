@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from supple.engine.work import Array
-from supple.errors import SuppleError, VolumeWarning, argument, need, shown
+from supple.errors import SuppleError, VolumeWarning, argument, need, shown, warn
 from supple.media import image, volume
 from supple.media.files import PathLike, head_of, is_store, unreadable
 from supple.media.stores.image import StoredImage, described, open_image
@@ -302,7 +302,7 @@ def _placed(path: PathLike, samples: Samples) -> tuple[list[dict[str, Any]], lis
             f"the axes of {shown(path)} are turned by {geometry.oblique:.3g} degrees against those of the patient, "
             "which an OME-Zarr image cannot say: it is written along its own axes, from 0"
         )
-        warnings.warn(what, VolumeWarning, stacklevel=5)
+        warn(what, VolumeWarning)
     axes: list[dict[str, Any]] = []
     scale, translation = [], []
     for name in samples.axes:

@@ -7,7 +7,6 @@ is ((x + 0.5) / W, 1 - (y + 0.5) / H), with y down. OpenImageIO's ``st_warp`` re
 
 from __future__ import annotations
 
-import warnings
 import zipfile
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -16,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from supple.engine.work import Array
-from supple.errors import OutsideWarning, needed, shown
+from supple.errors import OutsideWarning, needed, shown, warn
 from supple.media import image
 from supple.media.files import PathLike, check_suffix, head_of, refusing, replacing, unreadable, unwritable
 from supple.media.image import exr
@@ -176,7 +175,7 @@ def read_stmap(path: PathLike, grids: Grids) -> tuple[Content, ...]:
     (height, width), (x0, y0) = s.shape, first
     if x0 > 0 or y0 > 0 or x0 + width < own[0] or y0 + height < own[1]:
         text = f"{shown(path)} holds {width} x {height} pixels of its {own[0]} x {own[1]}: beyond, its edge goes on"
-        warnings.warn(text, OutsideWarning, stacklevel=2)
+        warn(text, OutsideWarning)
     width, height = _size(path, grids, own, unreadable)
     x, y = (s.astype(np.float64) * width - 0.5, (1 - t.astype(np.float64)) * height - 0.5)
     found = _displacements(path, x, y, first)

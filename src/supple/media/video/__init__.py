@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import itertools
 import math
-import warnings
 from bisect import bisect_right
 from collections import deque
 from collections.abc import Iterator, Sequence
@@ -13,7 +12,7 @@ from dataclasses import replace
 from fractions import Fraction
 from typing import Any
 
-from supple.errors import need, shown
+from supple.errors import need, shown, warn
 
 need("video", "videos and image sequences", "av")
 
@@ -85,7 +84,7 @@ class Clip(FrameSource):
         if counted.damaged and count is None:
             how_much = f"{self._lost(counted.count)}: " if counted.missing else ""
             what = f"is damaged or cut short: {how_much}what can be decoded of it is used"
-            warnings.warn(f"{self.name} {what}", ClipWarning, stacklevel=4)
+            warn(f"{self.name} {what}", ClipWarning)
 
     def _read_facts(self, film: av.VideoStream) -> None:
         self.index = film.index
@@ -224,7 +223,7 @@ class Clip(FrameSource):
         if bad and (lost or not self.survey.damaged):
             how_much = f"{self._lost(found)}: " if lost else ""
             what = f"has {bad} damaged frame{'s' * (bad > 1)}: {how_much}what can be decoded is used"
-            warnings.warn(f"{self.name} {what}", ClipWarning, stacklevel=2)
+            warn(f"{self.name} {what}", ClipWarning)
 
     def key_before(self, k: int) -> int:
         """Return the key frame from which decoding must begin for frame `k`; 0 if times do not identify frames."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import os
 import re
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
@@ -16,7 +15,7 @@ import av
 import numpy as np
 
 from supple._core import threads as all_threads
-from supple.errors import SuppleError, shown
+from supple.errors import SuppleError, shown, warn
 from supple.media.base import ClipWarning, FrameSource
 from supple.media.codecs import (
     ALIASES,
@@ -360,7 +359,7 @@ class WritePlan:
 
     def warn(self, what: str) -> None:
         """Warn of a loss."""
-        warnings.warn(f"{shown(self.target)} {what}", ClipWarning, stacklevel=3)
+        warn(f"{shown(self.target)} {what}", ClipWarning)
 
     def settle(self, context: av.VideoCodecContext, chosen: Match) -> None:
         """Apply the settings to an encoder's context."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import io
 import re
-import warnings
 from collections import deque
 from collections.abc import Mapping
 from fractions import Fraction
@@ -13,7 +12,7 @@ from typing import Any
 
 import av
 
-from supple.errors import shown
+from supple.errors import shown, warn
 from supple.media.base import ClipWarning
 from supple.media.codecs import Container
 from supple.media.files import PathLike
@@ -191,4 +190,4 @@ class Passage:
             self._warn(f"cannot hold all of the {stream.type} (stream {index}) of the source: the rest is left out")
 
     def _warn(self, what: str) -> None:
-        warnings.warn(f"{shown(self._target)} {what}", ClipWarning, stacklevel=2)
+        warn(f"{shown(self._target)} {what}", ClipWarning)

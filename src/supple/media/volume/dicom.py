@@ -6,7 +6,6 @@ import contextlib
 import mimetypes
 import os
 import re
-import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -14,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from supple.errors import SuppleError, VolumeWarning, argument, shown
+from supple.errors import SuppleError, VolumeWarning, argument, shown, warn
 from supple.media.files import PathLike, first_bytes, head_of, unreadable
 from supple.media.volume.data import Array, Volume, check_spacing, located
 from supple.media.volume.frames import dataset, frames_of
@@ -115,7 +114,7 @@ def listed(path: PathLike, *, nested: bool = True) -> list[Series]:
         told = ", ".join(f"{shown(Path(name).name)} ({kind})" for name, kind in beside[:3])
         more = f" and {len(beside) - 3} more" if len(beside) > 3 else ""
         text = f"{told}{more} in {shown(path)}: no images of a series, and left out"
-        warnings.warn(text, VolumeWarning, stacklevel=5)
+        warn(text, VolumeWarning)
     series: dict[str, list[tuple[str, Any]]] = {}
     for file, reader in images:
         series.setdefault(_tag(reader, _UID), []).append((file, reader))
@@ -325,7 +324,7 @@ def _resampled(volume: Volume, places: Array) -> Volume:
     gaps = np.diff(places)
     text = f"{len(places)} slices, {gaps.min():.4g} to {gaps.max():.4g} mm apart, are interpolated linearly"
     text = f"{text} at {count} places, {step:.4g} mm apart"
-    warnings.warn(f"{volume.name}: its {text}", VolumeWarning, stacklevel=6)
+    warn(f"{volume.name}: its {text}", VolumeWarning)
     return replace(volume, samples=samples, regridded=True, resampled=text)
 
 

@@ -15,7 +15,7 @@ from typing import IO, Any, cast
 
 import numpy as np
 
-from supple.errors import VolumeWarning, needed, shown
+from supple.errors import VolumeWarning, needed, shown, warn
 from supple.media.files import PathLike, head_of, replacing, unreadable
 from supple.media.volume.data import (
     DTYPES,
@@ -257,7 +257,7 @@ def _geometry(path: PathLike, first: Path, header: Any, sizes: tuple[int, ...], 
                 f"the qform and the sform of {name} disagree, by up to {far:.3g} mm: the {used} is used, as by {others}"
             )
     if text:
-        warnings.warn(text, VolumeWarning, stacklevel=5)
+        warn(text, VolumeWarning)
     return geometry
 
 

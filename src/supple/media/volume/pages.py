@@ -7,7 +7,6 @@ import logging
 import math
 import os
 import re
-import warnings
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -15,7 +14,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from supple.errors import VolumeWarning, needed, said, shown
+from supple.errors import VolumeWarning, needed, said, shown, warn
 from supple.media.files import PathLike, refusing, replacing, unreadable, unwritable
 from supple.media.volume.data import MILLIMETRES, Array, Volume, native
 from supple.space.geometry import Geometry
@@ -84,7 +83,7 @@ def read(path: PathLike) -> Volume:
         samples = np.expand_dims(samples, "t" in letters)
     if "x" in description and "z" not in description and sizes.get("z", 1) > 1:
         what = f"{shown(path)} does not tell how far its slices are apart (PhysicalSizeZ): as far as its columns"
-        warnings.warn(what, VolumeWarning, stacklevel=3)
+        warn(what, VolumeWarning)
     interval = description.get("finterval", 0.0)
     return Volume(
         native(samples),
@@ -114,7 +113,7 @@ def series_of(path: PathLike, *, alike: bool = False) -> Iterator[tuple[Any, Any
             raise unreadable(path, "its pages are of different sizes or kinds", "give pages of one")
         if len(listed) > 1:
             what = f"{shown(path)} holds {len(listed)} images of different sizes or kinds, and the first is read"
-            warnings.warn(what, VolumeWarning, stacklevel=5)
+            warn(what, VolumeWarning)
         yield file, listed[0]
 
 
@@ -158,7 +157,7 @@ def _heard(path: PathLike) -> Iterator[None]:
         raise unreadable(path, "some of its pages are missing, or in files that are", "give all of them")
     if texts:
         text = " ".join(re.sub(r"^\w+ (<.*?> ?)?", "", texts[0]).split())
-        warnings.warn(f"{shown(path)} is read, but tifffile says: {text}", VolumeWarning, stacklevel=7)
+        warn(f"{shown(path)} is read, but tifffile says: {text}", VolumeWarning)
 
 
 def _description(file: Any) -> dict[str, float]:
