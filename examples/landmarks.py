@@ -37,9 +37,10 @@ def marked(scene: Scene, indices: np.ndarray) -> np.ndarray:
 
 def main(folder: Path, path: Path = HEAD) -> None:
     target, field = folder / "bent.nii.gz", folder / "field.nii.gz"
-    options = VolumeOptions(world=True, save_field=field)
     recipe = supple.Recipe(strokes=[BRUSH], border=20)
-    made = supple.warp_file(path, target, recipe, filter="linear", force=True, volume=options)
+    made = supple.warp_file(
+        path, target, recipe, filter="linear", force=True, volume=VolumeOptions(world=True), save_field=field
+    )
 
     rows = ["name,r,a,s", *(f"{name},{r},{a},{s}" for name, (r, a, s) in MARKS.items())]
     (folder / "marks.csv").write_text("\n".join(rows) + "\n", encoding="utf-8")

@@ -11,7 +11,6 @@ import zarr
 
 import supple
 import supple.dask
-from supple.files.options import VolumeOptions
 from supple.media import image
 
 HEAD = Path(supple.__file__).parent / "examples" / "data" / "head.nii.gz"
@@ -24,9 +23,9 @@ def main(folder: Path) -> None:
     print(f"{made.shape} voxels in {made.blocks} blocks")
 
     # A store becomes another one; the map is written beside it, in both directions.
-    options = VolumeOptions(save_field=folder / "map.zarr")
+    recipe = supple.Recipe(strokes=[STROKE])
     made = supple.warp_file(
-        folder / "head.zarr", folder / "bent.zarr", supple.Recipe(strokes=[STROKE]), volume=options, force=True
+        folder / "head.zarr", folder / "bent.zarr", recipe, save_field=folder / "map.zarr", force=True
     )
     print(f"source points are known within {made.field.forward:.2g} voxels; the way back is explicit")
     head, bent = (zarr.open_group(folder / name, mode="r")["0"] for name in ("head.zarr", "bent.zarr"))

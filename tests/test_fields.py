@@ -218,8 +218,12 @@ FLAT = Field.from_array(np.zeros((4, 5, 2)))
 WRONG: list[tuple[Callable[[], Any], str]] = [
     (lambda: Field(np.zeros((4, 5, 2)), (4, 5)), r"grid must be a Grid, found \(4, 5\)"),  # type: ignore[arg-type]
     (lambda: Field(np.zeros((4, 5, 3)), Grid((4, 5))), r"values must be an array of shape \(4, 5, 2\), as the grid is"),
-    (lambda: Field.from_array(np.zeros((4, 5, 3))), r"values must be an array of shape \(4, 5, 2\), as the grid is"),
-    (lambda: Field.from_array(np.zeros((4, 5))), "shape must be two or three sizes"),
+    (lambda: Field.from_array(np.zeros((4, 5, 3))), r"values must be an array of shape \(H, W, 2\) or \(Z, H, W, 3\),"),
+    (
+        lambda: Field.from_array(np.zeros((2, 4, 5))),
+        r"values must be an array of .* found shape \(2, 4, 5\)",
+    ),
+    (lambda: Field.from_array(np.zeros((4, 5))), r"values must be an array of .* x first, found shape \(4, 5\)"),
     (lambda: Field.from_array(np.zeros((0, 5, 2))), r"shape\[0\] must be an integer from 1"),
     (lambda: Field.from_array(np.zeros((4, 5, 2)), interpolation="quintic"), "interpolation must be"),  # type: ignore[arg-type]
     (lambda: Field.from_array(np.zeros((4, 5, 2)), beyond="wrap"), "beyond must be"),  # type: ignore[arg-type]

@@ -132,8 +132,8 @@ def test_two_that_meet_on_their_way_are_named() -> None:
     message = refusal(lambda: d.pull(points, by=by, radius=20))
     assert message == (
         "a pull of 4 handles with radius 20 cannot arrive without a fold: handle 2, at (60, 60), dragged by (100, 0), "
-        "and handle 3, at (160, 60), dragged by (-100, 0), pull against each other; use a larger radius, or other "
-        "targets"
+        "and handle 3, at (160, 60), dragged by (-100, 0), meet on their straight ways; use other targets, or one "
+        "stroke after the other"
     )
 
 

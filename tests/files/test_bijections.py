@@ -20,7 +20,7 @@ from supple import Affine, Field, FoldWarning, OutsideWarning, Recipe, Stroke, S
 from supple.engine.sampling import Certificate  # noqa: E402
 from supple.fields import Placed  # noqa: E402
 from supple.files import Warped, stores, transforms, warp_file  # noqa: E402
-from supple.files.options import GridOptions, Running, VolumeOptions  # noqa: E402
+from supple.files.options import GridOptions, Running  # noqa: E402
 from supple.files.transforms import SavedField  # noqa: E402
 from supple.media.stores.image import open_image  # noqa: E402
 from supple.media.stores.target import Target  # noqa: E402
@@ -38,7 +38,7 @@ SCALE = {"t": 2.0, "c": 1.0, "z": 3.0, "y": 0.5, "x": 0.8}
 FIRST = {"t": 0.0, "c": 0.0, "z": -20.0, "y": 100.0, "x": 7.0}
 LPS = {"z": "superior-to-inferior", "y": "posterior-to-anterior", "x": "left-to-right"}
 SHAPES = {"t": 2, "c": 2, "z": 12, "y": 28, "x": 26}
-MAP = VolumeOptions(save_field="map.zarr")
+MAP = "map.zarr"
 FLAT = Recipe(strokes=[Stroke.grab((14, 12), to=(17, 14), radius=3)])
 
 
@@ -140,7 +140,7 @@ def test_both_directions_are_in_the_units_of_the_image(case: str) -> None:
     n = len(space)
     image("in.zarr", axes, version if version != "0.4" else "0.5", unit, turned=case == "turned")
     recipe = FLAT if n == 2 else strokes({"micrometer": 1e-3, "millimeter": 1}.get(unit or "", 1))
-    made = warp_file("in.zarr", "out.zarr", recipe, volume=MAP)
+    made = warp_file("in.zarr", "out.zarr", recipe, save_field=MAP)
     scale = tuple(SCALE[name] for name in space)
     pull, push = fields("map.zarr", n, scale)
     check(made, pull, push)
@@ -162,7 +162,7 @@ def test_both_directions_are_in_the_units_of_the_image(case: str) -> None:
 
 def test_what_the_scene_says() -> None:
     image("in.zarr", "zyx")
-    made = warp_file("in.zarr", "out.zarr", DEEP, volume=MAP)
+    made = warp_file("in.zarr", "out.zarr", DEEP, save_field=MAP)
     assert made.field is not None
     told = json.loads(Path("map.zarr/zarr.json").read_text())["attributes"]
     scene = told["ome"]["scene"]
@@ -189,15 +189,14 @@ def test_it_is_read_as_the_map_that_was_applied(unit: str, turned: bool) -> None
     """Also as a file of ITK, which another writer makes of the volume's geometry in millimetres."""
     image("in.zarr", "czyx", unit=unit, turned=turned)
     recipe = strokes({"micrometer": 1e-3}.get(unit, 1))
-    made = warp_file("in.zarr", "out.zarr", recipe, volume=MAP)
+    made = warp_file("in.zarr", "out.zarr", recipe, save_field=MAP)
     field, own = Field.read("map.zarr"), open_image("in.zarr").grid
     indices = np.moveaxis(np.indices(own.shape, np.float64), 0, -1)[..., ::-1]
     assert np.allclose(field.grid.positions(indices), own.positions(indices), rtol=1e-12, atol=0)
     source = own.positions(made.deformation.inverse(indices).points)
     off = field.grid.positions(indices) + field.values - source
     assert np.abs(off / own.spacing @ np.array(own.direction)).max() < 0.0101
-    options = VolumeOptions(save_field="map.nrrd")
-    saved = warp_file("in.zarr", "more.zarr", recipe, volume=options).field
+    saved = warp_file("in.zarr", "more.zarr", recipe, save_field="map.nrrd").field
     assert saved is not None
     assert saved.inverse is None
     theirs = Field.read("map.nrrd", "itk")
@@ -207,7 +206,7 @@ def test_it_is_read_as_the_map_that_was_applied(unit: str, turned: bool) -> None
 
 def test_plain_arrays_are_in_indices() -> None:
     zarr.create_array("in.zarr", data=RNG.random((12, 28, 26)), chunks=(8, 8, 8))
-    made = warp_file("in.zarr", "out.zarr", strokes(1), volume=MAP, grid=GridOptions(crop=(5, 6, 2, 20, 22, 7)))
+    made = warp_file("in.zarr", "out.zarr", strokes(1), save_field=MAP, grid=GridOptions(crop=(5, 6, 2, 20, 22, 7)))
     check(made, *fields("map.zarr", 3, (1, 1, 1)))
     assert placed("map.zarr", 0)[1] == [2, 6, 5]
     assert placed("map.zarr", 1)[1] == [0, 0, 0]
@@ -225,7 +224,7 @@ def test_plain_arrays_are_in_indices() -> None:
 )
 def test_on_another_grid(grid: GridOptions) -> None:
     image("in.zarr", "zyx")
-    made = warp_file("in.zarr", "out.zarr", DEEP, volume=MAP, grid=grid)
+    made = warp_file("in.zarr", "out.zarr", DEEP, save_field=MAP, grid=grid)
     scale = (3.0, 0.5, 0.8)
     check(made, *fields("map.zarr", 3, scale))
     written = open_image("out.zarr")
@@ -244,7 +243,7 @@ def test_affine_maps_and_fields() -> None:
     grid = open_image("in.zarr").grid
     wave = 1.5e-3 * np.sin(np.moveaxis(np.indices((12, 28, 26)), 0, -1) / 6)
     maps = [Placed(Field(wave, grid, beyond="edge")), Placed(turn, after=1), Placed(turn, inverse=True, after=2)]
-    made = warp_file("in.zarr", "out.zarr", DEEP, volume=MAP, maps=maps)
+    made = warp_file("in.zarr", "out.zarr", DEEP, save_field=MAP, maps=maps)
     check(made, *fields("map.zarr", 3, (3, 0.5, 0.8)))
     assert made.field is not None
     assert made.field.inverse == 0
@@ -256,7 +255,9 @@ def test_a_field_that_folds_is_told_of_both_ways() -> None:
     wave = np.zeros((12, 28, 26, 3))
     wave[..., 0] = 6e-3 * np.sin(np.arange(26) / 2)
     with pytest.warns((FoldWarning, OutsideWarning)) as seen:
-        made = warp_file("in.zarr", "out.zarr", Recipe(), volume=MAP, maps=[Placed(Field(wave, grid), inverse=True)])
+        made = warp_file(
+            "in.zarr", "out.zarr", Recipe(), save_field=MAP, maps=[Placed(Field(wave, grid), inverse=True)]
+        )
     texts = [str(one.message) for one in seen if one.category is FoldWarning]
     assert len(texts) == 2
     assert "as it is solved for map.zarr" in texts[1]
@@ -271,7 +272,7 @@ def test_a_missed_tolerance_is_one_warning_and_noted(monkeypatch: pytest.MonkeyP
     image("in.zarr", "yx", unit=None)
     monkeypatch.setattr(transforms, "certificate_of", lambda plan, space: Certificate(0.5, 1.0))
     with pytest.warns(ToleranceWarning, match=r"off by 0\.5 px") as seen:
-        made = warp_file("in.zarr", "out.zarr", FLAT, volume=MAP)
+        made = warp_file("in.zarr", "out.zarr", FLAT, save_field=MAP)
     assert len(seen) == 1
     assert made.field is not None
     assert zarr.open("map.zarr").attrs["supple"]["forward"] == {"tolerance": 0.01, "error": 0.5}
@@ -287,7 +288,7 @@ def chunks(name: str) -> dict[str, bytes]:
 
 def test_chunks_that_no_stroke_reaches_are_not_stored() -> None:
     image("in.zarr", "zyx")
-    made = warp_file("in.zarr", "out.zarr", DEEP, volume=MAP)
+    made = warp_file("in.zarr", "out.zarr", DEEP, save_field=MAP)
     assert made.field is not None
     assert made.field.blocks == 2 * 2 * 4 * 4
     stored = [name for name in chunks("map.zarr") if "/c/" in name]
@@ -321,7 +322,7 @@ def uninterrupted(tmp_path_factory: pytest.TempPathFactory, small: None) -> tupl
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
         image("in.zarr", "zyx")
-        field = warp_file("in.zarr", "out.zarr", DEEP, volume=VolumeOptions(save_field="expected.zarr")).field
+        field = warp_file("in.zarr", "out.zarr", DEEP, save_field="expected.zarr").field
     assert field is not None
     return folder, field
 
@@ -348,18 +349,18 @@ def test_a_job_that_is_interrupted_goes_on(
     for store in ("in.zarr", "expected.zarr"):
         shutil.copytree(folder / store, store)
     base = "" if where == "folder" else f"{memory}/"
-    options = VolumeOptions(save_field=f"{base}map.zarr")
+    own = {"save_field": f"{base}map.zarr"}
     with monkeypatch.context() as patch:
         failing(patch, name, count)
-        refused(warp_file, "in.zarr", f"{base}out.zarr", DEEP, volume=options, match="end of the world")
+        refused(warp_file, "in.zarr", f"{base}out.zarr", DEEP, **own, match="end of the world")
     if where == "folder":
         assert not os.path.exists("out.zarr")
         assert not os.path.exists("map.zarr")
     else:
         refused(open_image, f"{base}map.zarr", match="unfinished")
     with pytest.raises(SuppleError, match=r"another job|exists already"):
-        warp_file("in.zarr", f"{base}out.zarr", strokes(1.1e-3), volume=options)
-    again = warp_file("in.zarr", f"{base}out.zarr", DEEP, volume=options)
+        warp_file("in.zarr", f"{base}out.zarr", strokes(1.1e-3), **own)
+    again = warp_file("in.zarr", f"{base}out.zarr", DEEP, **own)
     assert again.field is not None
     assert again.field.done > 0
     assert (again.field.forward, again.field.stored) == (first.forward, first.stored)
@@ -370,15 +371,17 @@ def test_a_job_that_is_interrupted_goes_on(
     if where == "folder":
         assert sorted(os.listdir()) == ["expected.zarr", "in.zarr", "map.zarr", "out.zarr"]
         assert chunks("map.zarr") == chunks("expected.zarr")
-    refused(warp_file, "in.zarr", f"{base}out.zarr", DEEP, volume=options, match="exists already")
+    refused(warp_file, "in.zarr", f"{base}out.zarr", DEEP, **own, match="exists already")
 
 
 def test_force_replaces_and_others_are_refused() -> None:
     image("in.zarr", "zyx")
     zarr.create_group("map.zarr")
-    refused(warp_file, "in.zarr", "out.zarr", DEEP, volume=MAP, match=r"map\.zarr exists already: choose another name")
+    refused(
+        warp_file, "in.zarr", "out.zarr", DEEP, save_field=MAP, match=r"map\.zarr exists already: choose another name"
+    )
     assert sorted(os.listdir()) == ["in.zarr", "map.zarr"]
-    warp_file("in.zarr", "out.zarr", DEEP, volume=MAP, force=True)
+    warp_file("in.zarr", "out.zarr", DEEP, save_field=MAP, force=True)
     assert Field.read("map.zarr").values.any()
     Path("plain").mkdir()
     for name, told in (
@@ -389,10 +392,10 @@ def test_force_replaces_and_others_are_refused() -> None:
         ("none/map.zarr", "no folder"),
     ):
         with pytest.raises(SuppleError, match=told):
-            warp_file("in.zarr", "out.zarr", DEEP, volume=VolumeOptions(save_field=name), force=True)
+            warp_file("in.zarr", "out.zarr", DEEP, save_field=name, force=True)
     shutil.rmtree("map.zarr")
     Path("map.zarr").mkdir()
-    refused(warp_file, "in.zarr", "out.zarr", DEEP, volume=MAP, force=True, match="no Zarr store")
+    refused(warp_file, "in.zarr", "out.zarr", DEEP, save_field=MAP, force=True, match="no Zarr store")
 
 
 def test_the_map_of_a_file_that_becomes_a_store() -> None:
@@ -400,7 +403,7 @@ def test_the_map_of_a_file_that_becomes_a_store() -> None:
     affine = np.diag([-0.8, 0.5, 3.0, 1.0])
     affine[:3, 3] = [10, -20, 30]
     nibabel.save(nibabel.Nifti1Image(RNG.integers(0, 9, (26, 28, 12)).astype(np.uint8), affine), "in.nii")
-    made = warp_file("in.nii", "out.zarr", strokes(1), volume=MAP)
+    made = warp_file("in.nii", "out.zarr", strokes(1), save_field=MAP)
     check(made, *fields("map.zarr", 3, (3, 0.5, 0.8)))
     field, own = Field.read("map.zarr"), open_image("out.zarr").grid
     assert np.allclose(field.grid.matrix, own.matrix)
@@ -415,5 +418,5 @@ def test_processes_make_the_same() -> None:
     pytest.importorskip("distributed")
     image("in.zarr", "zyx")
     turn = Affine([[1, 0.05, 0, -1e-3], [-0.05, 1, 0, 1.5e-3], [0, 0, 1, 0.3e-3]])
-    made = warp_file("in.zarr", "out.zarr", DEEP, maps=[Placed(turn)], volume=MAP, running=Running(workers=2))
+    made = warp_file("in.zarr", "out.zarr", DEEP, maps=[Placed(turn)], save_field=MAP, running=Running(workers=2))
     check(made, *fields("map.zarr", 3, (3, 0.5, 0.8)))

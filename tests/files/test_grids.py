@@ -31,7 +31,6 @@ from supple import (
 )
 from supple.files import Job, warp_file
 from supple.files.grids import output_grid
-from supple.files.options import VolumeOptions
 from supple.media import image
 from supple.media import volume as media
 from supple.space.geometry import Geometry
@@ -159,9 +158,9 @@ class TestMapsOnFiles:
             r"(; for \d+ points no solution was found, and a guess is shown)? "
             r"\(the statuses of supple invert show where\)$"
         )
-        options = VolumeOptions(save_field="field.mha")  # of the same map: it is not told of twice
+        own = {"save_field": "field.mha"}  # of the same map: it is not told of twice
         with warnings.catch_warnings(record=True, action="always") as caught:
-            done = warp_file("in.nii", "out.nii", EMPTY, maps=[placed], filter="linear", volume=options)
+            done = warp_file("in.nii", "out.nii", EMPTY, maps=[placed], filter="linear", **own)
         assert done.folded + done.unsolved > 0
         assert {each.category for each in caught} <= {FoldWarning, OutsideWarning}
         (text,) = (str(each.message) for each in caught if each.category is FoldWarning)
@@ -185,9 +184,8 @@ class TestMapsOnFiles:
         turn = Placed(Affine([[1, 0, 0, 2.5], [0, 1, 0.1, 0], [0, 0, 1, -1]]))
         maps = [turn, Placed(field(around(OBLIQUE.grid(SHAPE))))]
         grid = GridOptions(resample=1.3, crop=(1, 1, 1, 8, 8, 12))
-        options = VolumeOptions(save_field="field.mha")
         warp_file(
-            "in.nii", "out.nii", EMPTY, maps=maps, grid=grid, volume=options, filter="linear", tolerance=1e-4,
+            "in.nii", "out.nii", EMPTY, maps=maps, grid=grid, save_field="field.mha", filter="linear", tolerance=1e-4,
             clamp=False,
         )  # fmt: skip
         saved = SimpleITK.ReadImage("field.mha", SimpleITK.sitkVectorFloat64)

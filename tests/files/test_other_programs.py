@@ -30,8 +30,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (start, end) = (tuple(to_world(point).tolist()) for point in ((45, 88, 62), (45, 76, 58)))
     recipe = supple.Recipe(strokes=[supple.Stroke.grab(start, to=end, radius=40)], border=30)
     for suffix in (".nii.gz", ".nrrd", ".mha"):
-        options = VolumeOptions(world=True, save_field=made / f"field{suffix}")
-        warp_file(made / "in.nii.gz", made / "ours.nii.gz", recipe, filter="linear", volume=options, force=True)
+        more = {"volume": VolumeOptions(world=True), "save_field": made / f"field{suffix}", "force": True}
+        warp_file(made / "in.nii.gz", made / "ours.nii.gz", recipe, filter="linear", **more)
     return made
 
 

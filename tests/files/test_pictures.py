@@ -11,9 +11,12 @@ import numpy.typing as npt
 import pytest
 
 import supple
-from supple.files import warp_file
+from supple.files import pictures, warp_file
+from supple.files.grids import GridOptions
 from supple.files.recipes import read_recipe, write_recipe
-from supple.media import image
+from supple.media import image, transforms
+from supple.space.checks import refuse
+from supple.space.geometry import Grid
 from tests.refusals import refused
 
 DATA = Path(supple.__file__).parent / "examples" / "data"
@@ -99,3 +102,29 @@ def test_a_recipe_comes_from_a_pipe(tmp_path: Path) -> None:
     writer.start()
     assert read_recipe(tmp_path / "pipe") == RECIPE
     writer.join()
+
+
+@pytest.mark.parametrize("name", ["map.exr", "map.tif", "map.npy", "map.npz"])
+def test_a_saved_map_bends_as_the_strokes_do(tmp_path: Path, name: str) -> None:
+    image.write(tmp_path / "in.png", noise(50, 60, 3))
+    maps = []
+    for k, grid in enumerate((None, GridOptions(crop=(7, 5, 40, 30)))):
+        options = {"grid": grid, "save_field": tmp_path / name, "force": bool(k)}
+        warp_file(tmp_path / "in.png", tmp_path / "out.png", RECIPE, **options)  # type: ignore[arg-type]
+        form = "stmap" if name.endswith((".exr", ".tif")) else "opencv"
+        (found,) = transforms.read(tmp_path / name, form, source=Grid((50, 60)))
+        assert isinstance(found, transforms.Displacements)
+        maps.append(found.values + np.moveaxis(np.indices(found.grid.shape), 0, -1)[..., ::-1])
+    expected = supple.Deformation.from_recipe(RECIPE, (50, 60)).inverse_map()
+    np.testing.assert_allclose(maps[0], expected, atol=2e-3 if name == "map.tif" else 1e-4)
+    np.testing.assert_allclose(maps[1], expected[5:35, 7:47], atol=2e-3 if name == "map.tif" else 1e-4)
+
+
+def test_a_map_that_cannot_be_written_leaves_no_picture(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    image.write(tmp_path / "in.png", noise(50, 60, 3))
+    source, target = tmp_path / "in.png", tmp_path / "out.png"
+    refused(warp_file, source, target, RECIPE, save_field=tmp_path / "m.nii", match=r"name an STMap \(\.exr, ")
+    refused(warp_file, source, target, RECIPE, save_field=target, match="cannot be the field and a picture too")
+    monkeypatch.setattr(pictures, "write", lambda *_, **__: refuse("the disk", "one with room", None))
+    refused(warp_file, source, target, RECIPE, save_field=tmp_path / "m.npy", match="one with room")
+    assert os.listdir(tmp_path) == ["in.png"]

@@ -89,11 +89,8 @@ def stroke(by: tuple[float, float, float] = (2.5, -1.5, 2.0), radius: float = 6.
 
 
 def warped(source: Path, target: Path, made: Stroke, border: Any = None, **options: Any) -> Warped:
-    known = {key: options.pop(key) for key in ("save_field", "labels") if key in options}
-    reading = VolumeOptions(world=True, **known)
     recipe = Recipe(strokes=(made,), border=border, space="RAS" if source.suffix == ".nrrd" else None)
-    if recipe.space:
-        reading = VolumeOptions(**known)
+    reading = VolumeOptions(world=recipe.space is None, labels=options.pop("labels", False))
     return supple.warp_file(source, target, recipe, volume=reading, clamp=False, **options)
 
 

@@ -444,11 +444,10 @@ def test_no_task_goes_on_after_an_error() -> None:
 
 def test_a_field_whose_place_another_job_has_leaves_no_output() -> None:
     plain("in.zarr", RNG.integers(0, 250, (64, 64), np.uint8), (16, 16))
-    options = VolumeOptions(save_field="map.zarr")
     os.mkdir("map.zarr.partial")
     Path("map.zarr.partial/supple.json").write_text('{"program": "supple", "state": "unfinished", "job": "b"}')
     with pytest.raises(SuppleError, match=r"map\.zarr.*is the unfinished output of another job"):
-        warp_file("in.zarr", "out.zarr", FLAT, volume=options)
+        warp_file("in.zarr", "out.zarr", FLAT, save_field="map.zarr")
     assert sorted(os.listdir()) == ["in.zarr", "map.zarr.partial"]
-    warp_file("in.zarr", "out.zarr", FLAT, volume=options, force=True)
+    warp_file("in.zarr", "out.zarr", FLAT, save_field="map.zarr", force=True)
     assert sorted(os.listdir()) == ["in.zarr", "map.zarr", "out.zarr"]

@@ -479,11 +479,11 @@ def test_a_field_is_left_only_with_its_volume(here: Path, monkeypatch: pytest.Mo
     stored("in.nii", made())
     monkeypatch.setattr(volumes, "write", _full)
     with pytest.raises(supple.SuppleError, match="No space left"):
-        warp_file("in.nii", "out.nii", RECIPE, volume=VolumeOptions(save_field="f.nii"))
+        warp_file("in.nii", "out.nii", RECIPE, save_field="f.nii")
     assert [p.name for p in here.iterdir()] == ["in.nii"]
     monkeypatch.undo()
     monkeypatch.chdir(here)
-    warp_file("in.nii", "out.nii", RECIPE, volume=VolumeOptions(save_field="f.nii"))
+    warp_file("in.nii", "out.nii", RECIPE, save_field="f.nii")
     assert sorted(p.name for p in here.iterdir()) == ["f.nii", "in.nii", "out.nii"]
 
 

@@ -15,7 +15,6 @@ import SimpleITK as sitk  # noqa: N813
 
 from supple import Deformation, Recipe, Stroke
 from supple.files import warp_file
-from supple.files.options import VolumeOptions
 from supple.files.transforms import displacement_of, write_transform
 from supple.media.transforms import SUFFIXES_OUT, check_target, write_field
 from supple.space.geometry import Geometry
@@ -89,11 +88,10 @@ def test_itk_applies_the_field_of_a_nifti_to_the_volume_as_it_reads_it(tmp_path:
         form(affine, code)
     made.to_filename(tmp_path / "in.nii")
     grab = [Stroke.grab((12, 14, 9), to=(16, 17, 11), radius=8)]
-    options = VolumeOptions(save_field=tmp_path / "field.nii")
     with warnings.catch_warnings(record=True, action="always") as told:
         warp_file(
-            tmp_path / "in.nii", tmp_path / "out.nii", Recipe(strokes=grab), filter="linear", volume=options,
-            tolerance=1e-4,
+            tmp_path / "in.nii", tmp_path / "out.nii", Recipe(strokes=grab), filter="linear",
+            save_field=tmp_path / "field.nii", tolerance=1e-4,
         )  # fmt: skip
     assert [one.category.__name__ for one in told] == ["VolumeWarning"] * (sform > 0 < qform)
     moving = sitk.ReadImage(str(tmp_path / "in.nii"))

@@ -320,8 +320,9 @@ void Plan<D>::emit(Work& w, int root, int x, int y, int wide, int high, const do
     leaf.w = wide;
     leaf.h = high;
     std::copy(depth, depth + 4, leaf.depth);
-    // Samples, also those of chroma, lie before the next cell; those of a cell that is one pixel wide, on its first side.
-    const double far_x = wide > 1 ? wide - (x + wide == size[0]) : 0, far_y = high > 1 ? high - (y + high == size[1]) : 0;
+    // Samples, also those of chroma, lie before the next cell; those of a cell one pixel wide on its first side.
+    const double far_x = wide > 1 ? wide - (x + wide == size[0]) : 0;
+    const double far_y = high > 1 ? high - (y + high == size[1]) : 0;
     w.band->error = std::max(w.band->error, round_patch<D>(c, far_x, far_y, leaf));
     Root& r = roots[root];
     w.band->leaves.push_back(leaf);

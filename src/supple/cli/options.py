@@ -416,7 +416,7 @@ class VolumeArguments:
     dtype: Annotated[str | None, Parameter(metavar="TYPE")] = None
     spacing: Annotated[Any, read(parse_three, "X,Y,Z")] = None
 
-    def to_reading(self, *, strokes: bool, labels: bool | str = False, save_field: str | None = None) -> "Reading":
+    def to_reading(self, *, strokes: bool, labels: bool | str = False) -> "Reading":
         """Return the options as a `VolumeOptions`; ``strokes`` says whether there are any."""
         from supple.files.options import VolumeOptions as Reading
 
@@ -431,7 +431,7 @@ class VolumeArguments:
                     "a file without a header needs both --shape X,Y,Z and --dtype: give the other one too"
                 )
             layout = RawLayout(self.shape, self.dtype, self.spacing or (1.0, 1.0, 1.0))
-        return Reading(self.world, labels == "nearest" or labels, save_field, layout, self.series, self.irregular)
+        return Reading(self.world, labels == "nearest" or labels, layout, self.series, self.irregular)
 
 
 def is_pattern(path: str) -> bool:

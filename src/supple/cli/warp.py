@@ -24,7 +24,6 @@ from supple.cli.options import (
     RUNNING,
     SAMPLING,
     VIDEO,
-    VOLUME,
     WRITING,
     Labels,
     RunOptions,
@@ -72,13 +71,13 @@ def warp(
     writing: WritingOptions = WritingOptions(),
     compression: Annotated[str | None, Parameter(group=WRITING, metavar="HOW")] = None,
     fast: Annotated[bool, Parameter(group=WRITING)] = False,
+    save_field: Annotated[str | None, Parameter(group=WRITING, metavar="FILE")] = None,
     frames: Annotated[str | None, text("A-B", group=VIDEO)] = None,
     frame: Annotated[str | None, text("K", group=VIDEO)] = None,
     hold: Annotated[int, whole(group=VIDEO)] = 0,
     video: VideoOptions = VideoOptions(),
     tracks: TrackOptions = TrackOptions(),
     labels: Labels = False,
-    save_field: Annotated[str | None, Parameter(group=VOLUME, metavar="FILE")] = None,
     volume: VolumeArguments = VolumeArguments(),
     several: SeveralOptions = SeveralOptions(),
     running: WorkerOptions = WorkerOptions(),
@@ -108,15 +107,16 @@ def warp(
         keeps its own.
     fast
         Write lossless pictures as fast as their format allows; they are larger.
+    save_field
+        Also write the map from the result to its source points. Of a picture: an STMap (.exr, .tif) or a map for
+        cv2.remap (.npy, .npz, .xml, .yml). Of a volume: a displacement field for SimpleITK, ANTs and 3D Slicer: NIfTI,
+        NRRD, MHA or .h5; or beside a Zarr store, of both directions of the map, as OME-Zarr: .zarr.
     frames
         Bend frames A to B of a video, and pass on the others as they are. Strokes count in the whole video.
     frame
         Write this frame of a video alone, bent, as a picture.
     hold
         Keep every bit of the first and the last N frames of a video: strokes fade towards them.
-    save_field
-        Also write the displacement field of the inverse map, for SimpleITK, ANTs and 3D Slicer: NIfTI, NRRD,
-        MHA or .h5; or beside a Zarr store, of both directions of the map, as OME-Zarr: .zarr.
     device
         Where to compute: cpu (which auto is), or cuda (an NVIDIA GPU, for pictures and volumes).
     """
@@ -132,7 +132,7 @@ def warp(
     if len(paths) < 2:
         raise SuppleError("give a file to read and a name to write to: supple warp IN OUT --grab …")
     grid, typed = output.to_grid(), video.frames(paths[0])
-    reading = volume.to_reading(strokes=strokes.bends, labels=labels, save_field=save_field)
+    reading = volume.to_reading(strokes=strokes.bends, labels=labels)
     edits_of = partial(
         strokes.read, maps, reading, console.arguments,
         reference=output.onto, frames=typed, empty=grid is not None,
@@ -165,7 +165,7 @@ def warp(
     template = Job(
         paths[0], paths[-1], recipe, known, outside, clamp, writing.quality, writing.lossless, device, options.force,
         shot, reading, strokes.to_fit(), grid=grid, compression="fast" if fast else compression,
-        running=running.to_running(),
+        running=running.to_running(), save_field=save_field,
     )  # fmt: skip
     if fast and compression is not None:
         raise SuppleError("--fast is a compression, and so is what --compression names: give one of them")
@@ -195,6 +195,8 @@ def warp(
     else:
         pairs, many, left = pair(paths[:-1], paths[-1], recursive=several.recursive)
     several.check(many, options.force)
+    if many and save_field is not None:
+        raise SuppleError("--save-field is of one file, and there are several: leave it out")
     _check_apart(save_recipe, [save_field, *chain(*pairs)])
     marks = strokes.landmarks
     if many and marks is not None and os.path.isfile(marks) and not marks.lower().endswith(".xml"):

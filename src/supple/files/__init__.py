@@ -43,6 +43,7 @@ def warp_file(
     hold: int | None = None,
     between: str | None = None,
     running: Running | None = None,
+    save_field: PathLike | None = None,
 ) -> Warped:
     """Warp an image file, a video, an image sequence, a volume, or a Zarr store.
 
@@ -117,6 +118,10 @@ def warp_file(
         each end that keep every bit; and the interpolation between frames.
     running : Running, optional
         Where the blocks of a store are computed: by default, on threads of this process.
+    save_field : str or os.PathLike, optional
+        A file for the map from the output to its source points. Of a picture: an STMap (``.exr``, ``.tif``), or a map
+        for ``cv2.remap`` (``.npy``, ``.npz``, ``.xml``, ``.yml``). Of a volume: the displacement field for SimpleITK,
+        ANTs and 3D Slicer; if the output is a Zarr store, also an OME-Zarr (``.zarr``) with both directions.
 
     Returns
     -------
@@ -138,5 +143,5 @@ def warp_file(
     return Job(
         source, target, recipe, Sampling(filter, tolerance, outside or "edge", fill, linear_light), outside, clamp,
         quality, lossless, device, force, known, volume or VolumeOptions(), fit, maps, grid,
-        compression, running or Running(),
+        compression, running or Running(), save_field,
     ).warp(progress, tell or silent)  # fmt: skip

@@ -17,7 +17,7 @@ from supple.engine.work import Tell, silent
 from supple.errors import SuppleError, argument, shown
 from supple.fields import Placed
 from supple.files.options import ClipOptions, GridOptions, PathLike, Running, VolumeOptions
-from supple.media.files import is_store, same_file
+from supple.media.files import check_output, is_store, same_file
 from supple.media.medium import Kind, Medium, opened
 from supple.space.checks import integer, refuse
 from supple.space.geometry import Geometry, Grid
@@ -38,6 +38,7 @@ OPTIONS: dict[str, tuple[object, tuple[Kind, ...]]] = {
     "clip": (ClipOptions(), ("clip",)),
     "volume": (VolumeOptions(), ("volume", "store")),
     "running": (Running(), ("store",)),
+    "save_field": (None, ("picture", "volume", "store")),
 }
 """Options that apply only to some kinds of files: their defaults, and these kinds."""
 
@@ -66,6 +67,7 @@ class Job:
     grid: GridOptions | None = None
     compression: str | None = None
     running: Running = field(default_factory=Running)
+    save_field: PathLike | None = None
 
     def __post_init__(self) -> None:
         recipe: object = self.recipe  # user input of any type
@@ -129,6 +131,11 @@ class Job:
         if not self.force and same_file(self.source, self.target) and not Path(self.source).is_dir():
             name, instead = shown(self.target), argument("force", True)
             raise SuppleError(f"{name} is the {medium.kind} itself: choose another name, or {instead}")
+        if self.save_field is not None and medium.kind != "store":
+            if Path(self.save_field).resolve() in (Path(self.source).resolve(), Path(self.target).resolve()):
+                what = f"cannot be the field and a {medium.kind} too"
+                raise SuppleError(f"{shown(self.save_field)} {what}: give it another name")
+            check_output(self.save_field, force=self.force)
         import_module(_MODULES[medium.kind]).check(self)
         check_device(self.device, f"{medium.kind}s" if medium.kind in ("clip", "store") else "")
         return medium

@@ -81,9 +81,6 @@ class VolumeOptions:
         Whether values are labels, which are not interpolated: every voxel takes the label of the nearest voxel (True or
         ``"nearest"``), or the one with the largest share of its footprint (``"smooth"``). Labels are integers, which
         may be stored as floats.
-    save_field : str or os.PathLike, optional
-        A file for the displacement field of T⁻¹, for SimpleITK, ANTs and 3D Slicer; if the output is a Zarr store, also
-        an OME-Zarr (``.zarr``) with both directions.
     layout : RawLayout, optional
         The layout of a file without a header.
     series : str, optional
@@ -94,7 +91,6 @@ class VolumeOptions:
 
     world: bool = False
     labels: bool | str = False
-    save_field: PathLike | None = None
     layout: RawLayout | None = None
     series: str | None = None
     irregular: str | None = None

@@ -1,16 +1,20 @@
-"""Warping pictures from file to file."""
+"""Warping pictures from file to file, and writing their maps."""
 
 from __future__ import annotations
 
+import contextlib
 import shutil
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from supple.arrays import warp_picture
 from supple.deformation import Deformation
+from supple.engine.core import inverse_map
 from supple.engine.sampling import warn_of
-from supple.engine.work import Tell
+from supple.engine.work import Space, Tell
 from supple.errors import SuppleError, argument, shown, warn
 from supple.fields import folds_of, only_name
 from supple.files.grids import grid_on
@@ -29,6 +33,9 @@ from supple.media.image import (
     write,
 )
 from supple.media.pictures import OUT
+from supple.media.transforms import Displacements
+from supple.media.transforms import write as write_map
+from supple.media.transforms.pictures import REMAP, STMAP_OUT
 from supple.space.geometry import Grid
 from supple.strokes import fit_recipe
 
@@ -38,10 +45,18 @@ def check(job: Job) -> None:
     check_target(job.target)
     check_options(job.target, quality=job.quality, lossless=job.lossless, compression=job.compression)
     check_output(job.target, force=job.force)
+    if job.save_field is not None:
+        _convention(job.save_field)
 
 
 def warp(job: Job, tell: Tell) -> Warped:
     """Warp an image, as in `supple.warp_file`."""
+    with contextlib.ExitStack() as stack:  # the map is renamed together with the image
+        place = None if job.save_field is None else stack.enter_context(replacing(job.save_field, force=job.force))
+        return _warp(job, tell, place)
+
+
+def _warp(job: Job, tell: Tell, place: PathLike | None) -> Warped:
     source, target, maps, name, sampling = job.source, job.target, job.maps, job.medium.name, job.sampling
     tell("read", 0, 3)
     picture = read(source, pages=_format(target) == "TIFF", whole=_format(target) == "OpenEXR")
@@ -65,6 +80,8 @@ def warp(job: Job, tell: Tell) -> Warped:
     warn_of_still(job.recipe.strokes)
     made = Warped(Path(source), Path(target), "picture", (deformation,), sampling.tolerance)
     space = replace(deformation.space_on(regrid), count=picture.pages)
+    if place is not None:
+        _write_map(place, space, held, regrid, own, sampling.tolerance)
     encoded = job.quality is not None or job.lossless or job.compression is not None
     if space.is_identity and not encoded and _format(source) == _format(target):
         # Encoding a lossy image again would change it.
@@ -99,6 +116,25 @@ def warp(job: Job, tell: Tell) -> Warped:
         made, error=found.error, grid=regrid, own=None if held == own else own, folded=found.folded,
         outside=found.outside, unsolved=found.unknown,
     )  # fmt: skip
+
+
+def _convention(path: PathLike) -> str:
+    """Return the convention of a map to write, from its suffix."""
+    suffix = Path(path).suffix.lower()
+    if found := [name for name, suffixes in {"stmap": STMAP_OUT, "opencv": REMAP}.items() if suffix in suffixes]:
+        return found[0]
+    raise SuppleError(
+        f"{shown(path)} is no map of a picture: name an STMap ({', '.join(STMAP_OUT)}), or a map for cv2.remap "
+        f"({', '.join(REMAP)})"
+    )
+
+
+def _write_map(place: PathLike, space: Space, held: Grid, regrid: Grid | None, own: Grid, tolerance: float) -> None:
+    """Write the source position of each pixel of the output, in pixels of ``own``."""
+    points, _ = inverse_map(space, tolerance, np.float64)
+    grid = Grid(points.shape[:2], origin=held.origin if regrid is None else None)
+    values = points + held.origin - (np.moveaxis(np.indices(grid.shape), 0, -1)[..., ::-1] + grid.origin)
+    write_map(place, [Displacements(values, grid, beyond="edge")], _convention(place), source=own, force=True)
 
 
 def _format(path: PathLike) -> str:

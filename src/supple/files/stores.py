@@ -67,12 +67,12 @@ class Work:
 
 def check(job: Job) -> None:
     """Raise SuppleError for an output that is no store, or cannot be written, before workers are started."""
-    source, target, known = job.source, job.target, job.volume
+    source, target = job.source, job.target
     if not is_store(target):
         what = f"{shown(source)} is a Zarr store, and becomes one, which {shown(target)} is not"
         raise SuppleError(f"{what}: name one, such as out.zarr")
     if job.running.elsewhere:
-        check_shared((source, target, *([] if known.save_field is None else [known.save_field])))
+        check_shared((source, target, *([] if job.save_field is None else [job.save_field])))
     folder = Place(target).folder
     if folder is not None:
         check_store(folder if "://" in os.fspath(target) else target, force=job.force)
@@ -97,13 +97,13 @@ def warp(job: Job, tell: Tell) -> Warped:
     labels = _labels(opened, job)
     own = _name(opened, made, job)
     field = None
-    if known.save_field is not None:
-        check_field(known.save_field, (source, target), flat=opened.geometry is None, force=force)
-        if is_store(known.save_field):
-            scale, translation = _located(opened, made.grid, known.save_field)
+    if job.save_field is not None:
+        check_field(job.save_field, (source, target), flat=opened.geometry is None, force=force)
+        if is_store(job.save_field):
+            scale, translation = _located(opened, made.grid, job.save_field)
             axes = list(image.spatial)
             samples = Placement(made.shape, [scale[axis] for axis in axes], [translation[axis] for axis in axes])
-            field = begin_field(known.save_field, image, made, samples, own, force=force)
+            field = begin_field(job.save_field, image, made, samples, own, force=force)
     other: dict[str, Any] = {} if made.grid is None else {"shape": made.grid.shape}
     if made.grid is not None and image.version:
         other["scale"], other["translation"] = _located(opened, made.grid, target)
@@ -120,19 +120,20 @@ def warp(job: Job, tell: Tell) -> Warped:
         here, there = (f"{address.rstrip('/')}/{LABELS}/{name}" for address in (image.address, output.site.address))
         with warnings.catch_warnings():  # warnings about the map were given for the image
             warnings.simplefilter("ignore")
-            options = replace(known, labels=known.labels or "nearest", save_field=None)
+            options = replace(known, labels=known.labels or "nearest")
             plain = Sampling(tolerance=job.sampling.tolerance, outside=job.sampling.outside)
-            warp(replace(job, source=here, target=there, force=True, volume=options, sampling=plain), tell)
+            one = replace(job, source=here, target=there, force=True, volume=options, sampling=plain, save_field=None)
+            warp(one, tell)
     if mapping is not None:
         output.finish(mapping.target)
-    elif known.save_field is not None:
+    elif job.save_field is not None:
         geometry, tolerance = opened.geometry, made.sampling.tolerance
         assert geometry is not None
         lies = geometry if made.grid is None else made.grid.geometry(geometry.convention)
-        with replacing(known.save_field, force=force) as place:  # published together with the output
+        with replacing(job.save_field, force=force) as place:  # published together with the output
             write_transform(place, made.deformation, lies, tolerance=tolerance, force=True, grid=made.grid, warn=False)
             output.finish()
-        saved = SavedField(os.fspath(known.save_field), tolerance, certificate.error)
+        saved = SavedField(os.fspath(job.save_field), tolerance, certificate.error)
     else:
         output.finish()
     chosen = job.outside is None and made.sampling.outside == "constant"
@@ -207,7 +208,7 @@ def _name(source: Source, warp: Warp, job: Job) -> str:
     grid = deformation.grid if warp.grid is None else warp.grid
     facts = (
         image.shape, str(image.dtype), len(image.spatial), job.recipe.to_json(), deformation.shape, warp.sampling,
-        replace(job.volume, save_field=None), grid.shape, grid.matrix.tolist(), grid.first,
+        job.volume, grid.shape, grid.matrix.tolist(), grid.first,
         place.parts, place.address.rpartition("::")[0] if place.folder is None else "", _changed(image, place.folder),
     )  # fmt: skip
     digest = hashlib.sha256(repr(facts).encode())

@@ -212,11 +212,11 @@ def warp(job: Job, tell: Tell) -> Warped:
     if not sampling.keeps_values and mixed:
         warn_of_labels(_looked_at(volume), volume.name, known=volume.is_segmentation)
     with contextlib.ExitStack() as stack:
-        if known.save_field is not None:
+        if job.save_field is not None:
             from supple.files.transforms import write_transform
 
             # It is renamed together with the volume: if either cannot be written, neither is.
-            place = stack.enter_context(replacing(known.save_field, force=job.force))
+            place = stack.enter_context(replacing(job.save_field, force=job.force))
             on = (regrid or volume.grid).upright()
             where = on.geometry(like.geometry.convention)
             onto = None if on == deformation.grid else on
@@ -264,7 +264,7 @@ def moved(volume: Volume, grid: Grid, options: GridOptions) -> Volume:
 
 def check(job: Job) -> None:
     """Raise SuppleError, before reading, for invalid names of a volume and its field."""
-    source, target, options, force = job.source, job.target, job.volume, job.force
+    source, target, force = job.source, job.target, job.force
     if os.path.isdir(source) and Path(os.path.realpath(source)) in Path(os.path.realpath(target)).parents:
         raise SuppleError(f"{shown(target)} is within {shown(source)}, and would be read with it: write elsewhere")
     if suffix_of(target) in derived.SUFFIXES and job.medium.is_dicom:
@@ -272,15 +272,12 @@ def check(job: Job) -> None:
     else:
         check_output(target, force=force)
         check_target(target, force=force)
-    if options.save_field is not None:
+    if job.save_field is not None:
         from supple.media.transforms import check_target as check_field
 
-        check_field(options.save_field)
-        check_output(options.save_field, force=force)
-        if os.path.realpath(options.save_field) in (os.path.realpath(target), os.path.realpath(source)):
-            raise SuppleError(f"{shown(options.save_field)} cannot be the field and a volume too: give it another name")
-        if Path(os.path.realpath(target)) in Path(os.path.realpath(options.save_field)).parents:
-            told = f"{shown(options.save_field)} is within {shown(target)}, a folder that is for slices alone"
+        check_field(job.save_field)
+        if Path(os.path.realpath(target)) in Path(os.path.realpath(job.save_field)).parents:
+            told = f"{shown(job.save_field)} is within {shown(target)}, a folder that is for slices alone"
             raise SuppleError(f"{told}: write the field elsewhere")
 
 

@@ -13,7 +13,7 @@ from supple.cli import command
 from supple.cli.describe import describe
 from supple.errors import SuppleError, VolumeWarning
 from supple.fields import Placed
-from supple.files.options import GridOptions, VolumeOptions
+from supple.files.options import GridOptions
 from supple.media.volume import read, write
 from supple.space.affine import Affine
 from supple.strokes import Recipe, Stroke
@@ -294,7 +294,7 @@ class TestRefused:
         made.mkdir()
         monkeypatch.setattr("supple.files.volumes.open_volume", lambda *_: pytest.fail("it was read"))
         with pytest.raises(SuppleError, match=r"is within .*, a folder that is for slices alone: write the field else"):
-            supple.warp_file(folder, made, BENT, volume=VolumeOptions(save_field=made / "field.h5"))
+            supple.warp_file(folder, made, BENT, save_field=made / "field.h5")
 
     def test_other_sources(self, tmp_path: Path) -> None:
         folder = source(tmp_path / "in", noise("i2", *SHAPE))

@@ -24,7 +24,7 @@ from supple.space.geometry import Grid
 
 REMAP = (".npy", ".npz", ".xml", ".yml", ".yaml")
 STMAP = (".exr", ".tif", ".tiff", ".png")
-_STMAP_OUT = (".exr", ".tif", ".tiff")
+STMAP_OUT = (".exr", ".tif", ".tiff")
 _ADVICE = "give an array (H, W, 2) of source positions, or two of (H, W), named map1 and map2"
 _STMAP_ADVICE = "an STMap needs red and green of 16 or 32 bits"
 _MAPS = (("map1", "map2"), ("mapx", "mapy"), ("xmap", "ymap"), ("x", "y"))
@@ -189,7 +189,7 @@ def write_stmap(path: PathLike, contents: Sequence[Content], grids: Grids, *, fo
     of the source's size (0.03 pixels for 4096), and cannot hold positions outside the source.
     """
     suffix = Path(path).suffix.lower()
-    check_suffix(path, suffix, _STMAP_OUT, "is of no STMap", f"use {', '.join(_STMAP_OUT)}")
+    check_suffix(path, suffix, STMAP_OUT, "is of no STMap", f"use {', '.join(STMAP_OUT)}")
     places = _positions(path, contents, "an STMap")
     height, width = places.shape[:2]
     st = (places + 0.5) / _size(path, grids, (width, height), unwritable)

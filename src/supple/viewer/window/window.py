@@ -381,6 +381,7 @@ class Window(View):
         onto, (left, top, columns, rows) = self._context.get_current_texture(), shot.place
         place = (left, top, min(columns, onto.size[0] - left), min(rows, onto.size[1] - top))
         shown = not isinstance(self.tools, VolumeTools) or RENDERED in self.tools.places
+        first: Any
         first, second = (self._textures if shown else None) or (None, None)
         plain = first is not None and second is None and first.format == onto.format
         if copied := plain and covers(first, place[2:], self.painter.part):
