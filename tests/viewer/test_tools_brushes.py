@@ -341,7 +341,7 @@ class TestPins:
         before = state(tools)
         drag(tools, (221, 101), (221, 101))
         assert state(tools) == before
-        assert "pull against each other" in (tools.status or "")
+        assert "meet on their straight ways" in (tools.status or "")
         assert not tools.document.dragging
 
 
