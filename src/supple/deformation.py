@@ -1245,7 +1245,7 @@ def last_outside(made: Deformation) -> str | None:
     elif domain.time:
         extent = f"the clip, which has {sizes[0]} x {sizes[1]} pixels and {sizes[2]} frames (from {numbered(0)})"
     else:
-        extent = f"the volume, which has {sizes[0]} x {sizes[1]} x {sizes[2]} voxels"
+        extent = f"the volume, which has {sizes[0]} x {sizes[1]} x {sizes[2]} voxels (its point is in voxels here)"
     pivots, spacing = rows["pivot"][:, : made.ndim], np.array(domain.spacing)
     beyond = np.maximum(np.maximum(-0.5 * spacing - pivots, pivots - (sizes - 0.5) * spacing), 0.0)
     text = f"{described(stroke)} starts outside {extent}"

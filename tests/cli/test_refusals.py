@@ -198,7 +198,7 @@ REFUSED: dict[str, list[tuple[str, str]]] = {
         ("--shape 99,99,99 --dtype u1", "in.nii"),
         ("--series 1", "--series is for DICOM"),
         ("--save-field f.nii --save-recipe f.nii", "a recipe is JSON, and none is written as .nii"),
-        ("--grab 200,5,5:201,5,5 --radius 5", "starts outside the volume, which has 24 x 26 x 20 voxels, and reaches"),
+        ("--grab 200,5,5:201,5,5 --radius 5", "24 x 26 x 20 voxels (its point is in voxels here), and reaches"),
     ],
     "warp in.mp4 out.mp4 TIMED": [
         ("--codec ''", "no video encoder"),
