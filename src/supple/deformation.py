@@ -5,7 +5,6 @@ from __future__ import annotations
 import inspect
 import math
 from collections.abc import Callable, Collection, Sequence
-from copy import copy
 from dataclasses import dataclass, field, replace
 from typing import Any, Concatenate, Literal, ParamSpec, Self, Unpack
 
@@ -36,6 +35,7 @@ from supple.space.checks import (
     number,
     point,
     refuse,
+    varied,
 )
 from supple.space.domain import BorderProfile, Domain
 from supple.space.freezing import Freeze
@@ -678,7 +678,8 @@ class Deformation:
                 resolved = replace(resolved, rows=table)
         rows = np.concatenate([self._space.rows, numbers(resolved.rows)])
         space = replace(self._space, rows=rows, freeze=freeze)
-        made = self._changed(
+        made = varied(
+            self,
             strokes=(*self.strokes, stroke),
             _resolved=(*self._resolved, resolved),
             _space=space,
@@ -835,7 +836,7 @@ class Deformation:
             matrix = shift @ found.matrix @ np.linalg.inv(shift)
             made = self._with(Placed(type(found)(matrix), name=_LAST))
         output = Grid((height, width), start.spacing, start.origin, start.direction)
-        return made._changed(straightened=straighten, output=self.grid if output == self.grid else output)
+        return varied(made, straightened=straighten, output=self.grid if output == self.grid else output)
 
     def filling(self, sampling: Sampling, options: SamplingFields) -> SamplingFields:
         """Return the options, with ``outside="constant"`` by default if straightening leaves empty parts."""
@@ -848,7 +849,7 @@ class Deformation:
         ``grid`` replaces its own grid, if that has no position in space.
         """
         place = {} if grid is None else {"grid": grid, "output": grid}
-        return self._changed(maps=(*(replace(each, after=0, row=0) for each in maps), *self.maps), **place)
+        return varied(self, maps=(*(replace(each, after=0, row=0) for each in maps), *self.maps), **place)
 
     def _with(self, placed: Placed, warn: bool = True) -> Self:
         if self.straightened is not None:
@@ -861,12 +862,7 @@ class Deformation:
         here, points = replace(placed, after=len(self.strokes), row=len(self._space.rows)), self._points.copy()
         if len(points):
             points[:, 1:] = self._moved(placed, points[:, 1:].reshape(-1, 3)).reshape(-1, 2, 3)
-        return self._changed(maps=(*self.maps, here), _points=points)
-
-    def _changed(self, **changes: Any) -> Self:
-        made = copy(self)
-        assign(made, **changes)
-        return made
+        return varied(self, maps=(*self.maps, here), _points=points)
 
     def forward(self, points: npt.ArrayLike) -> Floats:
         """Return T of points: the positions of input points in the output.

@@ -102,6 +102,16 @@ def test_points_count_from_the_display_window(run: Run, data: Box, display: Box)
                 assert made[y - found[1], x - found[0]] == pytest.approx(canvas[y + 100, x - 6 + 100], abs=1e-5)
 
 
+def test_a_saved_map_is_of_the_display_window(tmp_path: Path) -> None:
+    data, display = (-10, -8, 109, 87), (0, 0, 99, 79)
+    save(tmp_path / "in.exr", data, display, ramps(data))
+    warp_file(tmp_path / "in.exr", tmp_path / "out.exr", GRAB, save_field=tmp_path / "map.npy")
+    found = np.load(tmp_path / "map.npy")
+    assert found.shape == (80, 100, 2)
+    d = supple.Deformation.from_recipe(GRAB.placed([10, 8], (120, 96)), (96, 120))
+    np.testing.assert_allclose(found, d.inverse_map()[8:88, 10:110] - [10, 8], atol=0.02)  # twice the tolerance
+
+
 def test_a_data_window_grows_where_something_leaves_it(tmp_path: Path) -> None:
     planes = {name: np.ones((10, 10), np.float32) for name in "RGBA"}
     save(tmp_path / "in.exr", (15, 15, 24, 24), (0, 0, 59, 39), planes)

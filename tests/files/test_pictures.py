@@ -4,19 +4,24 @@ from __future__ import annotations
 
 import os
 import threading
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 import pytest
+import tifffile
 
 import supple
+from supple import Field
+from supple.fields import Placed
 from supple.files import pictures, warp_file
 from supple.files.grids import GridOptions
 from supple.files.recipes import read_recipe, write_recipe
 from supple.media import image, transforms
 from supple.space.checks import refuse
 from supple.space.geometry import Grid
+from tests.cli.commands import Run
 from tests.refusals import refused
 
 DATA = Path(supple.__file__).parent / "examples" / "data"
@@ -104,8 +109,10 @@ def test_a_recipe_comes_from_a_pipe(tmp_path: Path) -> None:
     writer.join()
 
 
-@pytest.mark.parametrize("name", ["map.exr", "map.tif", "map.npy", "map.npz"])
+@pytest.mark.parametrize("name", ["map.exr", "map.tif", "map.npy", "map.npz", "map.yml"])
 def test_a_saved_map_bends_as_the_strokes_do(tmp_path: Path, name: str) -> None:
+    if name.endswith(".yml"):
+        pytest.importorskip("cv2")
     image.write(tmp_path / "in.png", noise(50, 60, 3))
     maps = []
     for k, grid in enumerate((None, GridOptions(crop=(7, 5, 40, 30)))):
@@ -120,11 +127,41 @@ def test_a_saved_map_bends_as_the_strokes_do(tmp_path: Path, name: str) -> None:
     np.testing.assert_allclose(maps[1], expected[5:35, 7:47], atol=2e-3 if name == "map.tif" else 1e-4)
 
 
+@pytest.mark.parametrize("how", ["straightened", "pages", "into a folder"])
+def test_a_saved_map_takes_the_picture_to_its_result(tmp_path: Path, run: Run, how: str) -> None:
+    """The map alone, by the sampler of fields, gives the picture that was written with it."""
+    recipe, source, target = RECIPE, tmp_path / "in.tif", tmp_path / "out.tif"
+    page, y, x = np.ogrid[: 2 if how == "pages" else 1, :50, :60]
+    tifffile.imwrite(source, (120 + 100 * np.sin(x / 7 + y / 9 + page)).astype(np.uint8), photometric="minisblack")
+    if how == "into a folder":
+        (tmp_path / "out").mkdir()
+        drag = ["--grab", "30,20:36,24", "--radius", "15", "--border", "10", "--save-field", str(tmp_path / "m.npy")]
+        assert run("warp", str(source), str(tmp_path / "out"), *drag)[0] == 0
+        target = tmp_path / "out" / "in.tif"
+    else:
+        if how == "straightened":
+            recipe = replace(RECIPE, straighten=supple.Straighten(rotate=7, fit="crop"))
+        warp_file(source, target, recipe, save_field=tmp_path / "m.npy")
+    maps = [Placed(Field.read(tmp_path / "m.npy", "opencv"))]
+    grid = GridOptions(reference=target) if how == "straightened" else None
+    warp_file(source, tmp_path / "again.tif", supple.Recipe(), maps=maps, grid=grid, outside="edge")
+    made, again = (tifffile.imread(path).astype(int) for path in (target, tmp_path / "again.tif"))
+    assert made.shape == again.shape
+    assert np.abs(made - again).max() <= 1
+
+
 def test_a_map_that_cannot_be_written_leaves_no_picture(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     image.write(tmp_path / "in.png", noise(50, 60, 3))
     source, target = tmp_path / "in.png", tmp_path / "out.png"
     refused(warp_file, source, target, RECIPE, save_field=tmp_path / "m.nii", match=r"name an STMap \(\.exr, ")
-    refused(warp_file, source, target, RECIPE, save_field=target, match="cannot be the field and a picture too")
+    refused(
+        warp_file, source, tmp_path / "o.tif", RECIPE, save_field=tmp_path / "o.tif", match="the field and a picture"
+    )
+    os.symlink("loop.npy", tmp_path / "loop.npy")
+    refused(warp_file, source, target, RECIPE, save_field=tmp_path / "loop.npy", force=True, match=r"loop\.npy")
+    os.unlink(tmp_path / "loop.npy")
+    steep, place = supple.Recipe(strokes=(supple.Stroke.grab((2, 20), to=(30, 20), radius=30),), border=None), "m.tif"
+    refused(warp_file, source, target, steep, save_field=tmp_path / place, match=rf"cannot write .*/{place}: .* a TIFF")
     monkeypatch.setattr(pictures, "write", lambda *_, **__: refuse("the disk", "one with room", None))
     refused(warp_file, source, target, RECIPE, save_field=tmp_path / "m.npy", match="one with room")
     assert os.listdir(tmp_path) == ["in.png"]

@@ -195,7 +195,7 @@ def warp(
     else:
         pairs, many, left = pair(paths[:-1], paths[-1], recursive=several.recursive)
     several.check(many, options.force)
-    if many and save_field is not None:
+    if len(pairs) > 1 and save_field is not None:
         raise SuppleError("--save-field is of one file, and there are several: leave it out")
     _check_apart(save_recipe, [save_field, *chain(*pairs)])
     marks = strokes.landmarks

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
@@ -131,12 +132,12 @@ class Job:
         if not self.force and same_file(self.source, self.target) and not Path(self.source).is_dir():
             name, instead = shown(self.target), argument("force", True)
             raise SuppleError(f"{name} is the {medium.kind} itself: choose another name, or {instead}")
+        import_module(_MODULES[medium.kind]).check(self)
         if self.save_field is not None and medium.kind != "store":
-            if Path(self.save_field).resolve() in (Path(self.source).resolve(), Path(self.target).resolve()):
+            own = os.fspath(check_output(self.save_field, force=self.force))
+            if own in map(os.path.realpath, (self.source, self.target)):
                 what = f"cannot be the field and a {medium.kind} too"
                 raise SuppleError(f"{shown(self.save_field)} {what}: give it another name")
-            check_output(self.save_field, force=self.force)
-        import_module(_MODULES[medium.kind]).check(self)
         check_device(self.device, f"{medium.kind}s" if medium.kind in ("clip", "store") else "")
         return medium
 

@@ -81,7 +81,8 @@ def _warp(job: Job, tell: Tell, place: PathLike | None) -> Warped:
     made = Warped(Path(source), Path(target), "picture", (deformation,), sampling.tolerance)
     space = replace(deformation.space_on(regrid), count=picture.pages)
     if place is not None:
-        _write_map(place, space, held, regrid, own, sampling.tolerance)
+        onto = regrid or (None if held == own else own)
+        _write_map(place, deformation.space_on(onto), held, own, sampling.tolerance)
     encoded = job.quality is not None or job.lossless or job.compression is not None
     if space.is_identity and not encoded and _format(source) == _format(target):
         # Encoding a lossy image again would change it.
@@ -129,12 +130,13 @@ def _convention(path: PathLike) -> str:
     )
 
 
-def _write_map(place: PathLike, space: Space, held: Grid, regrid: Grid | None, own: Grid, tolerance: float) -> None:
-    """Write the source position of each pixel of the output, in pixels of ``own``."""
+def _write_map(place: PathLike, space: Space, held: Grid, own: Grid, tolerance: float) -> None:
+    """Write the source position of each pixel of the output, or of an EXR's display window, in pixels of ``own``."""
     points, _ = inverse_map(space, tolerance, np.float64)
-    grid = Grid(points.shape[:2], origin=held.origin if regrid is None else None)
-    values = points + held.origin - (np.moveaxis(np.indices(grid.shape), 0, -1)[..., ::-1] + grid.origin)
-    write_map(place, [Displacements(values, grid, beyond="edge")], _convention(place), source=own, force=True)
+    grid = Grid(points.shape[:2])
+    points += held.origin
+    points -= np.moveaxis(np.indices(grid.shape, np.float32), 0, -1)[..., ::-1]
+    write_map(place, [Displacements(points, grid, beyond="edge")], _convention(place), source=own, force=True)
 
 
 def _format(path: PathLike) -> str:

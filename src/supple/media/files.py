@@ -181,6 +181,8 @@ def replacing(path: PathLike, *, force: bool = False) -> Iterator[Path]:
     except SuppleError as error:
         if str(error).startswith("cannot write") and _is_full(temporary.parent):
             raise _refused(path, _full()) from error
+        if shown(temporary) in str(error):
+            raise type(error)(str(error).replace(shown(temporary), shown(path))) from error
         raise
     finally:
         with contextlib.suppress(OSError):

@@ -6,13 +6,14 @@ import operator
 import reprlib
 from collections.abc import Iterable, Sequence
 from numbers import Real
-from typing import Any, NoReturn, SupportsIndex
+from typing import Any, NoReturn, SupportsIndex, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
 from supple.errors import SuppleError, argument, none
 
+T = TypeVar("T")
 Vector = tuple[float, ...]
 """One number for each axis, x first."""
 Shape = tuple[int, ...]
@@ -100,6 +101,14 @@ def assign(frozen: object, **values: object) -> None:
     """Set fields of a frozen dataclass, in its own initialization."""
     for name, value in values.items():
         object.__setattr__(frozen, name, value)
+
+
+def varied(frozen: T, **values: object) -> T:
+    """Return a frozen dataclass with other values of some fields, which are not checked."""
+    made = object.__new__(type(frozen))
+    for name in type(frozen).__dataclass_fields__:  # type: ignore[attr-defined]
+        object.__setattr__(made, name, values[name] if name in values else getattr(frozen, name))
+    return made
 
 
 def point(name: str, value: object, lengths: Shape = (2, 3)) -> Vector:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from copy import copy
 from dataclasses import dataclass, field
 from itertools import permutations, product
 from typing import Any, Self
@@ -24,6 +23,7 @@ from supple.space.checks import (
     items,
     point,
     refuse,
+    varied,
 )
 
 Floats = npt.NDArray[np.float64]
@@ -276,9 +276,8 @@ class Grid:
             starts[i] = integer(f"first[{i}]", starts[i], f"an index from 0 to {size - 1}", 0, size - 1)
             most = size - starts[i]
             counts[i] = integer(f"sizes[{i}]", counts[i], f"a number of samples from 1 to {most}", 1, most)
-        made, first = copy(self), tuple(map(sum, zip(self.first, starts, strict=True)))
-        assign(made, shape=tuple(counts[::-1]), origin=tuple(self.positions(starts).tolist()), first=first)
-        return made
+        first = tuple(map(sum, zip(self.first, starts, strict=True)))
+        return varied(self, shape=tuple(counts[::-1]), origin=tuple(self.positions(starts).tolist()), first=first)
 
     def uncropped(self) -> Self:
         """Return the whole grid of which this is a part, or this grid if it is whole."""

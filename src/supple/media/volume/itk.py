@@ -274,6 +274,7 @@ def write(path: PathLike, samples: Array, like: Volume, *, packed: bool = True, 
         except (RuntimeError, UnicodeError) as error:
             found = re.search("Reason: (.+)", str(error))
             what = (found[1] if found else _reason(str(error))) or "ITK cannot write it"
+            what = "a part of it was not written" if what.startswith("fwrite") else what
             raise unwritable(path, what, "make room or choose another place") from error
         if not _whole(file.with_suffix(made[-1][1]), samples.nbytes, packed=packed):
             raise OSError(errno.EIO, "a part of it was not written")  # ITK misses errors at the end of a file
