@@ -173,8 +173,8 @@ class GapWarning(UserWarning):
 def warn(text: str, category: type[Warning]) -> None:
     """Warn, with the line of the first caller outside Supple."""
     level, frame = 1, sys._getframe()
-    # Those of the standard library call what Supple decorates: properties that are cached, and contexts.
-    own = ("supple", "contextlib", "functools")
+    # These call what Supple decorates or defines: properties that are cached, contexts, and functions with gradients.
+    own = ("supple", "contextlib", "functools", "torch")
     while frame.f_back is not None and frame.f_globals.get("__name__", "").partition(".")[0] in own:
         level, frame = level + 1, frame.f_back
     warnings.warn(text, category, stacklevel=level)

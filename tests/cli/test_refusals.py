@@ -449,7 +449,7 @@ REFUSED: dict[str, list[tuple[str, str]]] = {
         ("warp in.raw out.nii DRAG", "--shape"),
         ("warp missing.nii out.nii DRAG", "missing.nii"),
         ("warp text.nii.gz out.nii DRAG", "text.nii.gz"),
-        ("warp photo.png out.png --grab 1,1:2,2 --radius 3 --save-field f.nii", "--save-field is for volumes"),
+        ("warp photo.png out.png --grab 1,1:2,2 --radius 3 --save-field f.nii", "f.nii is no map of a picture"),
         ("warp in.nii out.nii --grab 1,1:2,2 --radius 3", "three numbers"),
         ("plot in.nii out.png DRAG --what residual", "draw grid or stretch"),
         ("render in.nii out.png --time 1", "--time is for series"),

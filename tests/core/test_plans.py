@@ -455,10 +455,12 @@ def test_points_of_another_shape_are_refused() -> None:
 def test_powers_of_a_single_pixel_do_not_count_where_it_has_no_sample(
     shape: tuple[int, int], at: tuple[float, float], to: tuple[float, float], radius: float
 ) -> None:
-    p = plan(Deformation(shape).grab(at, to=to, radius=radius), 0.01)
+    d = Deformation(shape).grab(at, to=to, radius=radius)
+    p = plan(d, 0.01)
     measured, unknown = p.measure(1e-5)
     assert measured <= p.checks[0] <= 0.01 * UNSEEN
     assert not unknown
+    assert plan_of(d.space, 0, 0.01, step=(2, 2)).checks[0] > 1  # but chroma lies between pixels
 
 
 def test_steps_of_patches_are_too_short_where_they_are_less_steep_than_the_map() -> None:

@@ -154,8 +154,8 @@ class TestMapsOnFiles:
         placed = Placed(Field(values, grid), True, name="u.nii")
         said = (
             r"^u\.nii folds in [\d,]+ of its 3,315 cells: where folds are mapped to, the inverse is one of several "
-            r"points(; \d+ of the points shown lie in a part that is turned over)?"
-            r"(; for \d+ points no solution was found, and a guess is shown)? "
+            r"points(; \d+ of the points found lie in a part that is turned over)?"
+            r"(; for \d+ of them there is a guess, as no solution was found)? "
             r"\(the statuses of supple invert show where\)$"
         )
         own = {"save_field": "field.mha"}  # of the same map: it is not told of twice

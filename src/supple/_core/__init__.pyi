@@ -119,7 +119,14 @@ class Sampling:
 
 class Plan:
     def __init__(
-        self, map: Map, height: int, width: int, z: float, tolerance: float, box: Box | None = None
+        self,
+        map: Map,
+        height: int,
+        width: int,
+        z: float,
+        tolerance: float,
+        box: Box | None = None,
+        chroma: bool = False,
     ) -> None: ...
     @property
     def checks(self) -> Checks: ...

@@ -31,11 +31,12 @@ inline Bound bound_within(const Stroke& k, const Axes& axes, int dimensions) {
 
 template <int D>
 Plan<D>::Plan(Strokes given, int width, int height, double z, double tolerance, const Composite* composite,
-              const Box* wanted, const Frozen* masks)
+              const Box* wanted, const Frozen* masks, bool chroma)
     : width(width),
       height(height),
       z(z),
       tolerance(tolerance),
+      chroma(chroma),
       map(composite),
       box(wanted ? *wanted : Box{0, width, 0, height}),
       all(std::move(given)),
@@ -91,7 +92,7 @@ void Plan<D>::keep_state(const Frozen* masks) {
     Strokes before = all;
     before.table.resize(held_rows);
     before.list.resize(held_rows);
-    under = std::make_unique<Plan>(std::move(before), width, height, z, tolerance, nullptr, &inside, masks);
+    under = std::make_unique<Plan>(std::move(before), width, height, z, tolerance, nullptr, &inside, masks, chroma);
 }
 
 // The strokes that reach any of some roots, in order.
@@ -320,9 +321,9 @@ void Plan<D>::emit(Work& w, int root, int x, int y, int wide, int high, const do
     leaf.w = wide;
     leaf.h = high;
     std::copy(depth, depth + 4, leaf.depth);
-    // Samples, also those of chroma, lie before the next cell; those of a cell one pixel wide on its first side.
-    const double far_x = wide > 1 ? wide - (x + wide == size[0]) : 0;
-    const double far_y = high > 1 ? high - (y + high == size[1]) : 0;
+    // In a cell one pixel wide, only chroma lies beyond its first side.
+    const double far_x = wide > 1 || chroma ? wide - (x + wide == size[0]) : 0;
+    const double far_y = high > 1 || chroma ? high - (y + high == size[1]) : 0;
     w.band->error = std::max(w.band->error, round_patch<D>(c, far_x, far_y, leaf));
     Root& r = roots[root];
     w.band->leaves.push_back(leaf);

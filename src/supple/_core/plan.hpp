@@ -112,12 +112,13 @@ template <int D>
 class Plan : public Checks {
 public:
     // A plan of strokes, or of a composite map; for all of the plane, or at least the rows and columns of a box (x0,
-    // x1, y0, y1). `masks` has the freezes between the strokes.
+    // x1, y0, y1). `masks` has the freezes between the strokes; `chroma` says whether samples lie between pixels.
     Plan(Strokes strokes, int width, int height, double z, double tolerance, const Composite* map = nullptr,
-         const Box* box = nullptr, const Frozen* masks = nullptr);
+         const Box* box = nullptr, const Frozen* masks = nullptr, bool chroma = false);
 
     const int width, height;
     const double z, tolerance;
+    const bool chroma;
     const Composite* const map;  // or null; it must live as long
     Box box;
     bool identity = true;

@@ -177,9 +177,11 @@ Values warp_stack(const Mapping& map, int height, int width, std::vector<int> pl
     const Box box = wanted.value_or(Box{0, width, 0, height});
     std::vector<Checks> checks(planes.size());
     std::atomic<bool> small = false;
+    bool chroma = false;
+    for (const Sampling* s : all) chroma |= s->job.grid.step[0] > 1 || s->job.grid.step[1] > 1;
     unlocked([&] {
         parallel((int)planes.size(), [&](int i, int) {
-            Plan<3> plan(map.strokes, width, height, planes[i], tolerance, map.composite, &box, map.freeze);
+            Plan<3> plan(map.strokes, width, height, planes[i], tolerance, map.composite, &box, map.freeze, chroma);
             checks[i] = plan;
             // A plane is copied if no displacement in all of it exceeds the tolerance; then a part of it is, too.
             auto unmoved = [&](const Plan<3>& p) { return p.identity || p.extent().moved * sqrt(3.0) <= tolerance; };
@@ -247,15 +249,16 @@ void bind_plans(nb::module_& m) {
         .def(
             "__init__",
             [](AnyPlan* self, const Mapping& map, int height, int width, double z, double tolerance,
-               std::optional<Box> box) {
+               std::optional<Box> box, bool chroma) {
                 auto make = [&](auto which) {
-                    new (self)
-                        AnyPlan{std::variant<Plan<2>, Plan<3>>(which, map.strokes, width, height, z, tolerance,
-                                                               map.composite, box ? &*box : nullptr, map.freeze)};
+                    new (self) AnyPlan{std::variant<Plan<2>, Plan<3>>(which, map.strokes, width, height, z, tolerance,
+                                                                      map.composite, box ? &*box : nullptr, map.freeze,
+                                                                      chroma)};
                 };
                 unlocked([&] { map.ndim == 2 ? make(std::in_place_index<0>) : make(std::in_place_index<1>); });
             },
-            "map"_a, "height"_a, "width"_a, "z"_a, "tolerance"_a, "box"_a = nb::none(), nb::keep_alive<1, 2>())
+            "map"_a, "height"_a, "width"_a, "z"_a, "tolerance"_a, "box"_a = nb::none(), "chroma"_a = false,
+            nb::keep_alive<1, 2>())
         .def_prop_ro("checks", [](const AnyPlan& p) { return values_of({p.checks()}); })
         .def_prop_ro("identity", [](const AnyPlan& p) { return p.with([](auto& plan) { return plan.identity; }); })
         .def_prop_ro("nbytes", [](const AnyPlan& p) { return p.with([](auto& plan) { return plan.nbytes(); }); })

@@ -30,7 +30,7 @@ _KINDS: dict[np.dtype[Any], np.dtype[Any]] = {
 def plan_of(space: Space, z: float, tolerance: float, step: tuple[int, int] = (1, 1)) -> _core.Plan:
     """Solve for T⁻¹ on the plane of index z, within a tolerance in pixels, for samples up to ``step`` (x, y) apart."""
     first, shape, box = _laid(space, step)
-    return _core.Plan(space.map, *shape, float(first + z), tolerance, box)
+    return _core.Plan(space.map, *shape, float(first + z), tolerance, box, max(step) > 1)
 
 
 def _laid(space: Space, step: tuple[int, int]) -> tuple[int, tuple[int, int], _core.Box | None]:

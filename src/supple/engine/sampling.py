@@ -219,9 +219,9 @@ def warn_of(
     if folds or certificate.unknown or certificate.folded:
         told = [f"{folds or f'{field_name} folds'}: where folds are mapped to, the inverse is one of several points"]
         if certificate.folded:
-            told.append(f"{certificate.folded} of the points shown lie in a part that is turned over")
+            told.append(f"{certificate.folded} of the points found lie in a part that is turned over")
         if certificate.unknown:
-            told.append(f"for {certificate.unknown} points no solution was found, and a guess is shown")
+            told.append(f"for {certificate.unknown} of them there is a guess, as no solution was found")
         warn(f"{'; '.join(told)} (the statuses of supple invert show where)", FoldWarning)
     if certificate.outside:
         warn(

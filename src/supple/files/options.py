@@ -101,10 +101,11 @@ class VolumeOptions:
 
     def check(self, path: PathLike) -> None:
         """Raise SuppleError if options for DICOM are given, and a file or folder is not DICOM."""
+        from supple.media.numbering import has_number
         from supple.media.volume import is_dicom
 
         for name in ("series", "irregular"):
-            if getattr(self, name) is not None and os.path.exists(path):
+            if getattr(self, name) is not None and (os.path.exists(path) or has_number(path)):
                 with contextlib.suppress(SuppleError):  # of no volume at all
                     if is_dicom(path):
                         continue

@@ -378,19 +378,20 @@ class Window(View):
             self.canvas.set_title(title)
 
     def _present(self, shot: Shot, encoder: Any) -> None:
-        onto, (left, top, columns, rows) = self._context.get_current_texture(), shot.place
-        place = (left, top, min(columns, onto.size[0] - left), min(rows, onto.size[1] - top))
-        shown = not isinstance(self.tools, VolumeTools) or RENDERED in self.tools.places
-        first: Any
-        first, second = (self._textures if shown else None) or (None, None)
-        plain = first is not None and second is None and first.format == onto.format
-        if copied := plain and covers(first, place[2:], self.painter.part):
-            # A software GPU copies in a tenth of the time of a shader; the controls cover the rest of the canvas.
-            encoder.copy_texture_to_texture({"texture": first}, {"texture": onto, "origin": (left, top, 0)}, first.size)
-        colours = {"view": onto.create_view(), "store_op": "store", "clear_value": (0, 0, 0, 1)}
-        drawing = encoder.begin_render_pass(color_attachments=[colours | {"load_op": "load" if copied else "clear"}])
-        if first is not None and not copied and min(place[2:]) > 0:
-            self._screen.draw(drawing, first, second, self.tools.split or 0.0, place, self.painter.part)
+        onto = self._context.get_current_texture()
+        colours = {"view": onto.create_view(), "load_op": "clear", "store_op": "store", "clear_value": (0, 0, 0, 1)}
+        drawing = encoder.begin_render_pass(color_attachments=[colours])
+        if self._textures is not None and (not isinstance(self.tools, VolumeTools) or RENDERED in self.tools.places):
+            left, top, columns, rows = shot.place
+            place = (left, top, min(columns, onto.size[0] - left), min(rows, onto.size[1] - top))
+            first, second = self._textures
+            if second is None and first.format == onto.format and covers(first, place[2:], self.painter.part):
+                drawing.end()  # a software GPU copies in a tenth of the time of a shader
+                there = {"texture": onto, "origin": (left, top, 0)}
+                encoder.copy_texture_to_texture({"texture": first}, there, first.size)
+                drawing = encoder.begin_render_pass(color_attachments=[colours | {"load_op": "load"}])
+            elif min(place[2:]) > 0:  # a canvas may have shrunk since
+                self._screen.draw(drawing, first, second, self.tools.split or 0.0, place, self.painter.part)
         if self.slices is not None and isinstance(self.tools, VolumeTools):
             self.slices.draw(drawing, onto.format, self.tools, shot.ratio, onto.size[:2])
         self._gui.draw(drawing, all=self._kept is None)
