@@ -206,7 +206,7 @@ class TestRefusals:
         ):
             clip.add(late)
         assert solid.add(replace(late, at=(62, 9, 2))) == 0
-        with pytest.raises(SuppleError, match="outside the volume, which has 60 x 40 x 5 voxels .*, and reaches nothing"):
+        with pytest.raises(SuppleError, match=r"5 voxels \(its point is in voxels here\), and reaches nothing"):
             solid.add(replace(late, at=(99, 9, 2)))
         clip.add(replace(late, hidden=True))
         with pytest.raises(SuppleError, match="reaches nothing"):
