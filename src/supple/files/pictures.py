@@ -33,11 +33,10 @@ from supple.media.image import (
     write,
 )
 from supple.media.pictures import OUT
-from supple.media.transforms import Displacements
-from supple.media.transforms import write as write_map
-from supple.media.transforms.pictures import REMAP, STMAP_OUT
 from supple.space.geometry import Grid
 from supple.strokes import fit_recipe
+
+# Conventions of maps are imported only where one is written, to keep the command fast.
 
 
 def check(job: Job) -> None:
@@ -121,6 +120,8 @@ def _warp(job: Job, tell: Tell, place: PathLike | None) -> Warped:
 
 def _convention(path: PathLike) -> str:
     """Return the convention of a map to write, from its suffix."""
+    from supple.media.transforms.pictures import REMAP, STMAP_OUT
+
     suffix = Path(path).suffix.lower()
     if found := [name for name, suffixes in {"stmap": STMAP_OUT, "opencv": REMAP}.items() if suffix in suffixes]:
         return found[0]
@@ -132,11 +133,14 @@ def _convention(path: PathLike) -> str:
 
 def _write_map(place: PathLike, space: Space, held: Grid, own: Grid, tolerance: float) -> None:
     """Write the source position of each pixel of the output, or of an EXR's display window, in pixels of ``own``."""
+    from supple.media import transforms
+
     points, _ = inverse_map(space, tolerance, np.float64)
     grid = Grid(points.shape[:2])
     points += held.origin
     points -= np.moveaxis(np.indices(grid.shape, np.float32), 0, -1)[..., ::-1]
-    write_map(place, [Displacements(points, grid, beyond="edge")], _convention(place), source=own, force=True)
+    made = transforms.Displacements(points, grid, beyond="edge")
+    transforms.write(place, [made], _convention(place), source=own, force=True)
 
 
 def _format(path: PathLike) -> str:
