@@ -1092,15 +1092,13 @@ class Deformation:
         which = range(count)
         if plane is not None:
             which = range(k := integer("plane", plane, f"one of the {count} there are", 0, count - 1), k + 1)
-        certificate, turned = Certificate(), 0
+        certificate = Certificate()
         for z in which if not space.is_identity else ():
-            plan = plan_of(space, z, tolerance)
-            certificate |= measured(plan, tolerance)
-            turned += plan.checks[3]
+            certificate |= measured(plan_of(space, z, tolerance), tolerance)
         size = float(np.prod(shape)) * len(which) / count
         return Report(
             **self.resolution(),
-            folds=turned,
+            folds=certificate.folded,
             tolerance=tolerance,
             error=certificate.error,
             unconverged=certificate.unknown,

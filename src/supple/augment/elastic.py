@@ -108,10 +108,8 @@ class RandomElastic:
         if least > most:
             refuse("strokes", wanted, self.strokes)
         wanted = f"a number from 0 to {low:g}, the smallest radius"
-        largest, border = (
-            number("max_displacement", self.max_displacement, wanted, 0.0, low),
-            checked_border(self.border),
-        )
+        largest = number("max_displacement", self.max_displacement, wanted, 0.0, low)
+        border = checked_border(self.border)
         assign(self, max_displacement=largest, radius=(low, high), strokes=(least, most), border=border)
 
     def draw(

@@ -55,8 +55,9 @@ def _certificate(checks: _core.Checks, space: Space) -> Certificate:
 
 def measured(plan: _core.Plan, tolerance: float) -> Certificate:
     """Return the error of a plan's source points, measured at every pixel by further Newton steps."""
+    _, evaluations, _, folded, _ = plan.checks
     error, unknown = plan.measure(min(1e-5, 1e-3 * tolerance))
-    return Certificate(error, plan.checks[1], unknown)
+    return Certificate(error, evaluations, unknown, folded)
 
 
 def needed(
