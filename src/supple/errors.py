@@ -7,10 +7,12 @@ import os
 import sys
 import warnings
 from collections.abc import Callable, Iterator, Sequence
-from contextvars import ContextVar
+from contextvars import ContextVar, copy_context
 from dataclasses import dataclass, replace
+from functools import partial
 from importlib import import_module
 from importlib.util import find_spec
+from types import FrameType
 from typing import Any
 
 _ANY: Any = object()  # marks an argument that is named without a value
@@ -43,6 +45,7 @@ PYTHON = Spelling(lambda name, value: name if value is _ANY else f"{name}={value
 JSON = Spelling(lambda name, value: name if value is _ANY else f'"{name}": {value!r}', "null")
 _face = PYTHON  # the default of all threads
 _here: ContextVar[Spelling | None] = ContextVar("spelling", default=None)
+_starter: ContextVar[FrameType | None] = ContextVar("starter", default=None)  # what started this thread
 
 
 def current_spelling() -> Spelling:
@@ -170,14 +173,22 @@ class GapWarning(UserWarning):
     """Voxels are not finite numbers, and spread to their neighbours."""
 
 
+def aside(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Return a function for another thread: it runs in a copy of this context, and warnings name this caller's line."""
+    context = copy_context()
+    context.run(_starter.set, sys._getframe())
+    return partial(context.run, function)
+
+
 def warn(text: str, category: type[Warning]) -> None:
     """Warn, with the line of the first caller outside Supple."""
-    level, frame = 1, sys._getframe()
+    frame = _starter.get() or sys._getframe()
     # These call what Supple decorates or defines: properties that are cached, contexts, and functions with gradients.
     own = ("supple", "contextlib", "functools", "torch")
     while frame.f_back is not None and frame.f_globals.get("__name__", "").partition(".")[0] in own:
-        level, frame = level + 1, frame.f_back
-    warnings.warn(text, category, stacklevel=level)
+        frame = frame.f_back
+    place, seen = frame.f_globals, frame.f_globals.setdefault("__warningregistry__", {})
+    warnings.warn_explicit(text, category, frame.f_code.co_filename, frame.f_lineno, place.get("__name__"), seen)
 
 
 def said(error: BaseException) -> str:

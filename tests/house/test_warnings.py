@@ -36,7 +36,12 @@ def outside(place: Path) -> None:
     move_points(place / "points.csv", place / "moved.csv", supple.Deformation((40, 40)).add(GRAB))
 
 
-@pytest.mark.parametrize("made", [scaled, with_gaps, outside, lambda place: read_freeze(place / "black.png")])
+def opaque(place: Path) -> None:
+    image.write(place / "f1.png", np.full((40, 40, 4), 128, np.uint8))
+    supple.warp_file(place / "f%d.png", place / "out.mp4", supple.Recipe(strokes=(GRAB,)))  # encoded in a thread
+
+
+@pytest.mark.parametrize("made", [scaled, with_gaps, outside, opaque, lambda place: read_freeze(place / "black.png")])
 def test_a_warning_of_files_names_the_caller(tmp_path: Path, made: Callable[[Path], object]) -> None:
     image.write(tmp_path / "in.png", np.zeros((40, 40), np.uint8))
     image.write(tmp_path / "black.png", np.zeros((40, 40), np.uint8))

@@ -6,7 +6,6 @@ import contextlib
 import math
 from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
-from contextvars import copy_context
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol
 
@@ -19,7 +18,7 @@ from supple.engine.memory import buffers
 from supple.engine.motion import Motion
 from supple.engine.sampling import LONGEST, Certificate
 from supple.engine.work import Array, Tell, Work, silent
-from supple.errors import GapWarning, SuppleError, warn
+from supple.errors import GapWarning, SuppleError, aside, warn
 
 if TYPE_CHECKING:
     from concurrent.futures import Future
@@ -268,7 +267,7 @@ def _writing(sink: Sink) -> Iterator[Callable[..., None]]:
     def submit(arrays: Sequence[Array], k: int, *, still: bool) -> None:
         while len(waiting) >= _AHEAD:
             waiting.popleft().result()
-        waiting.append(pool.submit(copy_context().run, lambda: sink.write(arrays, k, still=still)))
+        waiting.append(pool.submit(aside(sink.write), arrays, k, still=still))
 
     with ThreadPoolExecutor(1, "supple-encode") as pool:
         try:

@@ -186,7 +186,7 @@ def test_what_a_film_of_pictures_loses_is_said_and_what_keeps_it(
     gradients(tmp_path / "in", 1, kind)
     with warnings.catch_warnings(record=True, action="always") as caught:
         film(tmp_path / "in", tmp_path / "a.mkv", codec=codec)
-    told = f"{tmp_path / 'a.mkv'} loses {lost}" + (f": --pixel-format {keeps} keeps more" if keeps else "")
+    told = f"{tmp_path / 'a.mkv'} loses {lost}" + (f": pixel_format={keeps!r} keeps more" if keeps else "")
     assert [str(warning.message) for warning in caught] == [told]
     if keeps:
         with warnings.catch_warnings(action="error"):

@@ -15,7 +15,7 @@ import av
 import numpy as np
 
 from supple._core import threads as all_threads
-from supple.errors import SuppleError, shown, warn
+from supple.errors import SuppleError, argument, shown, warn
 from supple.media.base import ClipWarning, FrameSource
 from supple.media.codecs import (
     ALIASES,
@@ -280,14 +280,14 @@ class WritePlan:
             self.warn(f"is not in {self.match.instead}")
         elif lost and not (video.stills and self._asked):
             found = "" if self._asked else self._finer()
-            text = f"loses {' and '.join(lost)}" + (f": --pixel-format {found} keeps more" if found else "")
+            text = f"loses {' and '.join(lost)}" + (f": {argument('pixel_format', found)} keeps more" if found else "")
             if lost[0].startswith("depth") and not video.stills and not video.form.kind.real:
                 self.depth = text
             else:
                 self.warn(text)
         if video.grading and not self.encoder.graded:
             others = _having(self.container, "graded")
-            advice = f": --codec {others.replace(', ', ' or ')} keeps them" if others else ""
+            advice = f": {argument('codec')} {others.replace(', ', ' or ')} keeps them" if others else ""
             self.warn(f"loses the light levels of HDR, which {self.encoder.codec} cannot hold{advice}")
         sound = video.source is not None and any(stream.type == "audio" for stream in video.source.streams)
         if sound and self.container.counted and self.encoder.codec in ("h264", "hevc"):
