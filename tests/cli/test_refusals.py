@@ -440,6 +440,7 @@ REFUSED: dict[str, list[tuple[str, str]]] = {
         ("view in.png --series 1", "--series is for DICOM folders, and in.png is none: leave it out"),
         ("info in.png --irregular resample", "--irregular is for DICOM folders, and in.png is none: leave it out"),
         ("info in.nii --irregular resample", "--irregular is for DICOM folders, and in.nii is none: leave it out"),
+        ("info folder --irregular resample", "--irregular is for DICOM folders, and folder is none: leave it out"),
         ("plan in.png FLAT --irregular resample", "--irregular is for DICOM folders, and in.png is none: leave it out"),
         ("view in.png --irregular resample", "--irregular is for DICOM folders, and in.png is none: leave it out"),
         ("warp in.zarr missing/out.zarr FLAT", "missing"),

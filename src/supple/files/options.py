@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -105,10 +104,8 @@ class VolumeOptions:
         from supple.media.volume import is_dicom
 
         for name in ("series", "irregular"):
-            if getattr(self, name) is not None and (os.path.exists(path) or has_number(path)):
-                with contextlib.suppress(SuppleError):  # of no volume at all
-                    if is_dicom(path):
-                        continue
+            named = getattr(self, name) is not None and (os.path.exists(path) or has_number(path))
+            if named and not is_dicom(path):
                 raise SuppleError(f"{argument(name)} is for DICOM folders, and {shown(path)} is none: leave it out")
 
     @property

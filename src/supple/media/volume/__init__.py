@@ -36,8 +36,8 @@ _KINDS = (
 
 
 def is_dicom(path: PathLike) -> bool:
-    """Return whether a volume is DICOM."""
-    return _format(path) == "DICOM"
+    """Return whether a file or folder is a volume in DICOM."""
+    return is_volume(path) and not is_zarr(path) and _format(path) == "DICOM"
 
 
 def read(
