@@ -948,7 +948,7 @@ class Deformation:
         float32 array, shape (*shape, D)
             In pixels, x first: ``cv2.remap`` takes ``map[..., 0]`` and ``map[..., 1]``.
         """
-        tolerance = number("tolerance", tolerance, "a number of pixels above 0", 1e-9, 1e9)
+        tolerance = number("tolerance", tolerance, "a number of pixels from 1e-9 to 1e9", 1e-9, 1e9)
         space = self.space_on(None)
         if like is None:
             found, certificate = core.inverse_map(space, tolerance)
@@ -1086,7 +1086,7 @@ class Deformation:
         grid : Grid, optional
             The grid of the output; by default, that of the input.
         """
-        tolerance = number("tolerance", tolerance, "a number of pixels above 0", 1e-9, 1e9)
+        tolerance = number("tolerance", tolerance, "a number of pixels from 1e-9 to 1e9", 1e-9, 1e9)
         space, shape = self.space_on(grid), (self.output if grid is None else grid).shape
         count = shape[0] if self.ndim == 3 else 1
         which = range(count)

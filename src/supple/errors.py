@@ -32,6 +32,8 @@ class Spelling:
         The number of the first frame of a clip.
     stroke : function of Stroke, optional
         Returns the name of a stroke; by default, its brush with all its numbers.
+    typed : function of str, optional
+        Returns the text that was typed for an argument; empty if that is not known.
     """
 
     ANY = _ANY
@@ -39,6 +41,7 @@ class Spelling:
     none: str = "None"
     first: int = 0
     stroke: Callable[[Any], str] | None = None
+    typed: Callable[[str], str] = lambda name: ""
 
 
 PYTHON = Spelling(lambda name, value: name if value is _ANY else f"{name}={value!r}")

@@ -262,6 +262,7 @@ def test_a_video_becomes_pictures_from_its_first_frame_on(run: Run, here: Path) 
     ("options", "wanted"),
     [
         (("--frames", "3"), "--frames must be the first and the last frame, A-B (1010-1035, say), found '3'"),
+        (("--frames=-1",), "--frames must be the first and the last frame, A-B (1010-1035, say), found '-1'"),
         (("--frames", "7-3"), "--frames 7-3: frame 7 comes after 3: give the earlier one first"),
         (("--frames", "9-5", "--first-frame", "2"), "--frames 9-5: frame 9 comes after 5: give the earlier one first"),
         (("--frames", "3-12"), "--frames must be from 0 to 11, the frames of in.mkv, found 12"),
@@ -269,7 +270,7 @@ def test_a_video_becomes_pictures_from_its_first_frame_on(run: Run, here: Path) 
         (("--frames", "3-x"), "--frames must be the number of a frame (0, say) or a timecode (00:00:00:00), found 'x'"),
         (("--frame", "3"), "the suffix .mkv is no image format"),
         (("--frame", "3", "--frames", "2-5"), "--frame writes one frame, and --frames are some"),
-        (("--hold", "-1"), "--hold must be a whole number from 0, found -1"),
+        (("--hold", "-1"), "--hold must be a whole number from 0, found '-1'"),
         (("--hold", "6"), "--hold 6 keeps all 12 frames of in.mkv: keep fewer than half"),
         (("--first-frame", "x"), "--first-frame must be a whole number, or files, found 'x'"),
         (("--first-frame", "files"), "in.mkv has no numbers in its names: give --first-frame a number"),

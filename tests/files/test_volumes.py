@@ -294,7 +294,7 @@ def test_a_fill_that_is_not_held(run: Run) -> None:
     command = ("warp", "in.nii", "out.nrrd", "--affine", "1,0,0,8,0,1,0,0,0,0,1,0", "--outside", "constant", "--fill")
     status, _, err = run(*command, "-1")
     assert status == 2
-    assert "--fill must be from 0 to 255, which in.nii can hold (uint8, unscaled), found -1" in err.splitlines()[-1]
+    assert "--fill must be from 0 to 255, which in.nii can hold (uint8, unscaled), found '-1'" in err.splitlines()[-1]
     assert not Path("out.nrrd").exists()
     assert run(*command, "7.6")[0] == 0  # rounded, as all values are
     assert 8 in media.read("out.nrrd").samples

@@ -497,7 +497,7 @@ def test_other_things_than_cameras_and_deformations() -> None:
     ("given", "text"),
     [
         ({"elevation": 100}, "from -90 to 90"),
-        ({"distance": 0}, "above 0"),
+        ({"distance": 0}, "from 1e-6"),
         ({"field_of_view": 180}, "from 1 to 150"),
         ({"up": (0, 0, 0)}, "a direction"),
         ({"target": (1, 2)}, "3 numbers"),

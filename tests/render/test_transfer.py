@@ -66,7 +66,7 @@ def test_files_say_it_all(name: str, tmp_path: Path) -> None:
         ('{"points": [[0, 0, 0, 0, true]]}', "from 0 to 1"),
         ('{"points": [[NaN, 0, 0, 0, 0]]}', "a finite number"),
         ('{"points": [[1, 0, 0, 0, 0], [0, 0, 0, 0, 1]]}', "in ascending order"),
-        ('{"points": [[0, 0, 0, 0, 1]], "unit": 0}', "above 0"),
+        ('{"points": [[0, 0, 0, 0, 1]], "unit": 0}', "from 1e-6"),
         ('{"points": [[0, 0, 0, 0, 1]], "relative": 1}', "true or false"),
         ('{"points": [[0, 0, 0, 0, 1]], "colour": 1}', "unknown key 'colour'"),
         ('{"points": [[0, 0, 0, 0, 1]], "transfer_function": 2}', "another version"),

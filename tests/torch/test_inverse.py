@@ -183,7 +183,7 @@ FLAT = torch.zeros(2, 6, 7)
             'interpolation must be "linear" or "cubic" or "bspline"',
         ),
         (lambda: bending.invert(FLAT, beyond="reflect"), 'beyond must be "zero" or "edge"'),
-        (lambda: bending.invert(FLAT, tolerance=0), "tolerance must be a number of voxels above 0"),
+        (lambda: bending.invert(FLAT, tolerance=0), "tolerance must be a number of voxels from 1e-9"),
         (lambda: bending.invert(FLAT[:, :3], interpolation="bspline"), "a cubic B-spline needs 4 coefficients"),
     ],
 )

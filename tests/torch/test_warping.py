@@ -316,7 +316,7 @@ PLAIN = bent()
         (lambda: bending.warp(IMAGE, PLAIN, outside="wrap"), 'outside must be "edge" or "constant" or "reflect"'),
         (lambda: bending.warp(IMAGE, PLAIN, fill=(1, 2)), "fill must be a number, or 1 of them"),
         (lambda: bending.warp(IMAGE, PLAIN, between="linear"), "between must be left out for an image"),
-        (lambda: bending.warp(IMAGE, PLAIN, tolerance=0), "tolerance must be a number of pixels above 0"),
+        (lambda: bending.warp(IMAGE, PLAIN, tolerance=0), "tolerance must be a number of pixels from 1e-9"),
         (lambda: bending.forward([[1.0, 2.0]], PLAIN), "points must be a tensor of shape (..., 2)"),
         (lambda: bending.forward(torch.zeros(3), PLAIN), "points must be floats of shape (..., 2), x first"),
         (lambda: bending.forward(torch.zeros(3, 2).long(), PLAIN), "points must be floats of shape (..., 2), x first"),

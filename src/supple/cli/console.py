@@ -13,6 +13,7 @@ import warnings
 from collections.abc import Callable, Iterator, Mapping
 from contextvars import ContextVar
 from dataclasses import asdict, dataclass, field
+from itertools import pairwise
 from types import FrameType
 from typing import TYPE_CHECKING, Any, NoReturn
 
@@ -31,7 +32,7 @@ PIPE_CLOSED = 141  # 128 + SIGPIPE, which Windows does not name
 
 # Arguments of the library that have an option of the same name.
 _NAMES = (
-    "annotate between border border_profile clamp clip codec compression convention crf crop density device "
+    "annotate azimuth between border border_profile clamp clip codec compression convention crf crop density device "
     "distance elevation error eyes field_of_view fill filter first_frame fit fixed fixed_points flat force frame "
     "frames freeze freeze_width from hold irregular jaw keystone label_colours labels landmarks legend "
     "linear_light lossless map memory mode nose on_fold outside percent_of picture pixel_format plane poisson "
@@ -50,13 +51,21 @@ def naming(**others: str) -> Spelling:
     known = _OPTIONS | others
 
     def option(name: str, value: object) -> str:
+        name = name.partition("[")[0] if typed(name) else name  # without the index of one of several numbers
         if name not in known or value is Spelling.ANY or value is True:
             return known.get(name, name)
         if value is False:
             return known[name].replace("--", "--no-", 1)
         return f"{known[name]} {'none' if value is None else value}"
 
-    return Spelling(option, "none")
+    def typed(name: str) -> str:
+        wanted, console = known.get(name.partition("[")[0]), _current.get(None)
+        given = console.arguments if console else ()
+        words = [part for word in given for part in (word.split("=", 1) if word.startswith(f"{wanted}=") else [word])]
+        values = [value for word, value in pairwise(words) if word == wanted]
+        return repr(values[0]) if len(values) == 1 else ""
+
+    return Spelling(option, "none", typed=typed)
 
 
 COMMAND = naming()

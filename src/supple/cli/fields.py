@@ -34,7 +34,7 @@ def invert(
     to: Name = None,
     source: Image = None,
     reference: Image = None,
-    tolerance: Annotated[float, number("a number of voxels above 0", "N", group=MAPS)] = 0.01,
+    tolerance: Annotated[float, number("a number of voxels from 1e-9 to 1e9", "N", (1e-9, 1e9), group=MAPS)] = 0.01,
     error: Output = None,
     status: Output = None,
     report: Output = None,

@@ -137,8 +137,9 @@ def _rate(option: str, text: str) -> "float | Fraction":
         rate = Fraction(text) if "/" in text else float(text)
     except (ValueError, ZeroDivisionError):
         rate = 0.0
-    if not 0 < rate <= 100_000:
-        raise SuppleError(f"{option} must be a number of frames a second above 0, or 24000/1001, found {text!r}")
+    if not 1e-4 <= rate <= 1e5:
+        wanted = "a number of frames a second from 0.0001 to 100000, or 24000/1001"
+        raise SuppleError(f"{option} must be {wanted}, found {text!r}")
     return rate
 
 
@@ -225,7 +226,7 @@ class Frames:
     def part(self, option: str, text: str) -> tuple[int, int]:
         """Return the first and the last frame of a range A-B, counted from 0."""
         ends = text.split("-")
-        if len(ends) != 2:
+        if len(ends) != 2 or "" in ends:
             raise SuppleError(f"{option} must be the first and the last frame, A-B (1010-1035, say), found {text!r}")
         first, last = (self.read(option, end.strip()) for end in ends)
         if first > last:
@@ -554,7 +555,7 @@ class SamplingOptions:
     filter: Annotated[str, Parameter(metavar="auto|cubic|linear|nearest")] = "auto"
     outside: Literal["edge", "constant", "reflect"] | None = None
     fill: Annotated[str | None, text("V|V,V,V")] = None
-    tolerance: Annotated[float, number("a number of pixels above 0", "PX", (1e-9, 1e9))] = 0.01
+    tolerance: Annotated[float, number("a number of pixels from 1e-9 to 1e9", "PX", (1e-9, 1e9))] = 0.01
 
     def to_sampling(self, elsewhere: bool, linear_light: bool = False) -> "tuple[Sampling, str | None]":
         """Return the `Sampling`, and the boundary mode that was asked for, or None.

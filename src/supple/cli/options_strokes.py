@@ -444,8 +444,6 @@ class StrokeOptions:
             given = "" if loose in _OF_EACH else ", a --recipe"
             option = f"--{loose.replace('_', '-')}"
             raise SuppleError(f"{option} is for strokes, and there are none: {_ONE_OF}{given}, or leave it out")
-        if found and not self.radius:
-            raise SuppleError(f"{found[0][0]} needs a --radius: how far it is felt, in pixels or millimetres")
 
         @cache
         def matte(option: str, path: str) -> "Freeze | None":
@@ -453,16 +451,10 @@ class StrokeOptions:
 
             return None if path == "none" else read_matte(path, width=self.freeze_width)
 
-        def radius(option: str, text: str) -> float:
-            found = places.length(option, text, _LENGTH)
-            if found <= 0:  # checked here, as the message for a percentage would be in pixels
-                raise SuppleError(f"{option} must be {_LENGTH}, found {text!r}")
-            return found
-
         count = len(found)
         reaches: list[float | None] = _spread("--reach", self.reach, count, _reach, REACH)
         brushes = zip(
-            _spread("--radius", self.radius, count, radius, 0.0),
+            _spread("--radius", self.radius, count, partial(places.length, wanted=_LENGTH), 1.0),
             _spread("--poisson", self.poisson, count, _numbers("a number up to 0.5, or -inf"), None),
             reaches,
             _spread("--time-radius", self.time_radius, count, _numbers("a number of frames above 0"), None),
@@ -492,6 +484,8 @@ class StrokeOptions:
                 raise SuppleError(f"{told} has points of {stroke.ndim} numbers, and {first}: give all strokes as many")
             stroke = replace(stroke, matte=weights, strength=strength)
             made.append(_Given(told, (stroke,) if line is None else self._mirrored(told, stroke, *line), space))
+        if found and not self.radius:
+            raise SuppleError(f"{found[0][0]} needs a --radius: how far it is felt, in pixels or millimetres")
         return made
 
     def _mirrored(self, told: str, stroke: "Stroke", x: float, y: float, a: float, b: float) -> "tuple[Stroke, ...]":

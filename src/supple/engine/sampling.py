@@ -69,7 +69,7 @@ class Sampling:
         choice("filter", self.filter, tuple(FILTERS))
         choice("outside", self.outside, tuple(OUTSIDE))
         checked: dict[str, object] = {
-            "tolerance": number("tolerance", self.tolerance, "a number of pixels above 0", 1e-9, 1e9),
+            "tolerance": number("tolerance", self.tolerance, "a number of pixels from 1e-9 to 1e9", 1e-9, 1e9),
             "linear_light": flag("linear_light", self.linear_light),
             "time_filter": flag("time_filter", self.time_filter),
         }

@@ -166,7 +166,7 @@ class Field:
             If the grid has another number of axes, or does not overlap the field and the region that it maps to.
         """
         n = self.ndim
-        tolerance = number("tolerance", tolerance, "a number of voxels above 0", 1e-9, 1e9)
+        tolerance = number("tolerance", tolerance, "a number of voxels from 1e-9 to 1e9", 1e-9, 1e9)
         held = own_grid(self) if grid is None else check_grid(grid)
         if held.ndim != n:
             raise SuppleError(f"a field of {n} axes needs a grid of as many, found {held.ndim}")

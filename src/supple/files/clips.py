@@ -411,7 +411,7 @@ def streamed(clip: Any, work: Work, plan: Plan, memory: float) -> Iterator[tuple
     """Yield the frames of a plan, as `stream` does; only the frames of the clip that they need are read."""
     first = int(plan.keep[0]) if plan.planes else 0
     frames: Iterable[Frame] = islice(clip.frames(), first, None)  # files are only read when copied
-    if first and hasattr(clip, "frames_from"):
+    if first and not clip.stills:
         frames = (frame for _, frame in clip.frames_from(first))
     yield from stream(work, plan, frames, memory=memory, first=first)
 

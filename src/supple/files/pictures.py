@@ -134,12 +134,11 @@ def _convention(path: PathLike) -> str:
 def _write_map(place: PathLike, space: Space, held: Grid, own: Grid, tolerance: float) -> None:
     """Write the source position of each pixel of the output, or of an EXR's display window, in pixels of ``own``."""
     from supple.media import transforms
+    from supple.media.transforms.pictures import displacements
 
     points, _ = inverse_map(space, tolerance, np.float64)
-    grid = Grid(points.shape[:2])
     points += held.origin
-    points -= np.moveaxis(np.indices(grid.shape, np.float32), 0, -1)[..., ::-1]
-    made = transforms.Displacements(points, grid, beyond="edge")
+    made = displacements(place, points[..., 0], points[..., 1])
     transforms.write(place, [made], _convention(place), source=own, force=True)
 
 

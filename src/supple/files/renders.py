@@ -155,17 +155,19 @@ class RenderOptions:
                 raise SuppleError(f"{told}: leave {given[0]} out")
         if not self.shaded and (self.silhouettes or self.shadows):
             raise SuppleError("silhouettes and shadows are of shaded surfaces: leave unshaded out, or them")
-        for name, pixels in zip(("height", "width"), self.size, strict=True):
-            integer(name, pixels, "a number of pixels from 1 to 16384", 1, 16384)
+        for k, pixels in enumerate(self.size):
+            integer(f"size[{k}]", pixels, "a number of pixels from 1 to 16384", 1, 16384)
         integer("supersampling", self.supersampling, "a number of rays along a pixel's side, from 1 to 8", 1, 8)
         if self.turntable is not None:
             integer("turntable", self.turntable, "a number of pictures from 2 to 100000", 2, 100_000)
         if self.background is not None:
             colour_of("background", self.background)
         if self.rate is not None:
-            number("rate", self.rate, "a number of pictures a second above 0", 1e-3, 1e4)
+            number("rate", self.rate, "a number of pictures a second from 0.001 to 10000", 1e-3, 1e4)
             if self.turntable is None:
-                raise SuppleError("rate is that of a turntable's video, and this is one picture: leave it out")
+                raise SuppleError(
+                    f"{argument('rate')} is of a turntable's video, and this is one picture: leave it out"
+                )
         if self.what == "inversions":
             for name in ("meshes", "shadows", "silhouettes", "turntable", "annotate", "legend", "background"):
                 if getattr(self, name):

@@ -280,10 +280,10 @@ def _from(clip: Any, first: int) -> Iterator[tuple[int, Array]]:
     """Yield (frame, luma) from ``first`` on, as stored; for floats, which are linear light, the square root."""
     arrays = [np.empty((*group.shape, group.channels), clip.layout.dtype) for group in clip.layout.groups]
     samples, group = arrays[0], clip.layout.groups[0]
-    family = clip.form.kind.family if hasattr(clip, "form") else "rgb"
+    family = "rgb" if clip.stills else clip.form.kind.family
     colours = group.channels - group.alpha >= 3 and family != "yuv"
-    seeks = hasattr(clip, "frames_from")  # image sequences need no seeking
-    for k, frame in clip.frames_from(first) if seeks else itertools.islice(enumerate(clip.frames()), first, None):
+    every = itertools.islice(enumerate(clip.frames()), first, None) if clip.stills else clip.frames_from(first)
+    for k, frame in every:
         frame.copy_to(arrays)
         luma = (samples[..., :3] @ _LUMA).astype(samples.dtype) if colours else samples[..., 0].copy()
         yield k, np.sqrt(np.maximum(np.nan_to_num(luma), 0)) if luma.dtype.kind == "f" else luma
@@ -294,7 +294,7 @@ def _back(clip: Any, last: int, memory: float) -> Iterator[tuple[int, Array]]:
     most = max(2, int(memory // (math.prod(clip.layout.shape) * clip.layout.dtype.itemsize)))
     while last >= 0:
         begin = max(last - _STRETCH, 0)
-        begin = max(clip.key_before(begin) if hasattr(clip, "key_before") else begin, last + 1 - most)
+        begin = max(begin if clip.stills else clip.key_before(begin), last + 1 - most)
         yield from reversed(list(itertools.islice(_from(clip, begin), last + 1 - begin)))
         last = begin - 1
 

@@ -75,7 +75,7 @@ def displacement_of(
     """
     if deformation.ndim != 3:
         raise SuppleError(f"a displacement field is of a volume, and shape {deformation.shape} has two axes")
-    tolerance = number("tolerance", tolerance, "a number of voxels above 0", 1e-9, 1e9)
+    tolerance = number("tolerance", tolerance, "a number of voxels from 1e-9 to 1e9", 1e-9, 1e9)
     space = deformation.space_on(grid)
     made = np.empty((*(deformation if grid is None else grid).shape, 3), np.float32) if out is None else out
     if space.is_identity:

@@ -121,7 +121,7 @@ def iterations(deformation: Deformation, frame: int | None = None) -> Iterations
 def residual(deformation: Deformation, frame: int | None = None, *, tolerance: float = 0.01) -> Errors:
     """Return the errors of the lattice map at a tolerance, in pixels, and its certified bound."""
     every, q = _pixels(deformation, frame)
-    tolerance = number("tolerance", tolerance, "a number of pixels above 0", 1e-9, 1e9)
+    tolerance = number("tolerance", tolerance, "a number of pixels from 1e-9 to 1e9", 1e-9, 1e9)
     plan = _plan(deformation, frame, tolerance)
     whole = np.empty((*deformation.shape[-2:], deformation.ndim))
     plan.points(whole)

@@ -48,11 +48,11 @@ class Camera:
 
     def __post_init__(self) -> None:
         for name in ("azimuth", "roll"):
-            number(name, getattr(self, name), "a number of degrees", -1e6, 1e6)
+            number(name, getattr(self, name), "a number of degrees from -1e6 to 1e6", -1e6, 1e6)
         number("elevation", self.elevation, "a number of degrees from -90 to 90", -90, 90)
         number("field_of_view", self.field_of_view, "a number of degrees from 1 to 150", 1, 150)
         if self.distance is not None:
-            number("distance", self.distance, "a number of millimetres above 0", 1e-6, 1e9)
+            number("distance", self.distance, "a number of millimetres from 1e-6 to 1e9", 1e-6, 1e9)
         if self.target is not None:
             object.__setattr__(self, "target", point("target", self.target, (3,)))
         object.__setattr__(self, "up", point("up", self.up, (3,)))
@@ -112,8 +112,7 @@ def view_of(
     if not isinstance(given, Sequence) or isinstance(given, str) or len(given) != 2:
         refuse("size", "two numbers of pixels, rows and columns", given)
     height, width = (
-        integer(name, n, "a number of pixels from 1 to 32768", 1, 32768)
-        for name, n in zip(("height", "width"), size, strict=True)
+        integer(f"size[{k}]", n, "a number of pixels from 1 to 32768", 1, 32768) for k, n in enumerate(size)
     )
     spacing = np.array(geometry.spacing)
     if points is None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -41,7 +40,7 @@ from supple.render.meshes import Surface, nearest, place
 from supple.render.picture import Pick, Rendering, colour_of, linear_light
 from supple.render.shadows import NEAR, Shade, arriving, shade_of
 from supple.render.transfer import Transfer
-from supple.space.checks import choice, integer, number, point, refuse
+from supple.space.checks import choice, integer, number, point, refuse, varied
 from supple.space.geometry import Geometry
 
 MODES = ("buffered", "exact", "hybrid")
@@ -172,7 +171,7 @@ class Scene:
             # projections and labels miss values between samples
             finest * (0.75 if projection == "none" and not isinstance(known, LabelColours) else 0.5)
             if step is None
-            else number("step", step, f"millimetres, at least {finest * 1e-3:g}", finest * 1e-3, 1e9)
+            else number("step", step, f"millimetres from {finest * 1e-3:g} to 1e9", finest * 1e-3, 1e9)
         )
         drawn: Any = meshes
         if not isinstance(drawn, Sequence) or not all(isinstance(mesh, Surface) for mesh in drawn):
@@ -181,7 +180,7 @@ class Scene:
         self.clip, self.plane = box_of(clip, self.shape), plane_of(plane, places)
         self.projection, self.mode, self.device, self.step = projection, mode, device, step
         self.silhouettes, self.shadows = float(silhouettes), float(shadows)
-        self.tolerance = number("tolerance", tolerance, "a number of voxels above 0", 1e-6, 1e6)
+        self.tolerance = number("tolerance", tolerance, "a number of voxels from 1e-6 to 1e6", 1e-6, 1e6)
         self.meshes, self.shaded = tuple(meshes), bool(shaded)
         self._sample(known, density)
         self._deform(deformation, None)
@@ -258,13 +257,13 @@ class Scene:
             For a preview on the CPU, in a mode with a buffer: only every ``coarse``-th voxel along each axis is warped.
         """
         integer("coarse", coarse, "a number of voxels from 1 to 64", 1, 64)
-        made = copy.copy(self)
+        made = varied(self)
         made._deform(deformation, self._held.volume if self._held else None, coarse)
         return made
 
     def seen_through(self, transfer: Transfer | str, density: tuple[float, float] | None = None) -> Scene:
         """Return this scene with another transfer function. Only label maps are inverted and warped again."""
-        made, known = copy.copy(self), transfer_function(transfer)
+        made, known = varied(self), transfer_function(transfer)
         if isinstance(known, LabelColours) or isinstance(self.transfer, LabelColours):  # samples number visible labels
             made._sample(known, density)
             made._deform(self.deformation, None)
@@ -276,8 +275,7 @@ class Scene:
 
     def clipped(self, clip: Clip | None, plane: Plane | None = None) -> Scene:
         """Return this scene, within another box and before another plane, without inverting or warping again."""
-        made = copy.copy(self)
-        made.clip, made.plane = box_of(clip, self.shape), plane_of(plane, self.geometry)
+        made = varied(self, clip=box_of(clip, self.shape), plane=plane_of(plane, self.geometry))
         made._darken()
         return made
 

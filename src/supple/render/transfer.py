@@ -56,7 +56,7 @@ class TransferFunction:
                 refuse(name, f"in ascending order of values, from {made[-1][0]:g} on", value)
             made.append((value, rest[0], rest[1], rest[2], rest[3]))
         object.__setattr__(self, "points", tuple(made))
-        number("unit", self.unit, "a number of millimetres above 0", 1e-6, 1e6)
+        number("unit", self.unit, "a number of millimetres from 1e-6 to 1e6", 1e-6, 1e6)
 
     def table(self, low: float, high: float, step: float) -> npt.NDArray[np.float32]:
         """Return the colours and opacities of values from ``low`` to ``high``.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import operator
 import reprlib
 from collections.abc import Iterable, Sequence
@@ -11,7 +12,7 @@ from typing import Any, NoReturn, SupportsIndex, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from supple.errors import SuppleError, argument, none
+from supple.errors import SuppleError, argument, current_spelling, none
 
 T = TypeVar("T")
 Vector = tuple[float, ...]
@@ -45,7 +46,8 @@ def value_shown(value: object) -> str:
 
 def refuse(name: str, wanted: str, found: object = None, *, told: str = "") -> NoReturn:
     """Raise SuppleError with the values that ``name`` may have, and the value found or its description ``told``."""
-    raise SuppleError(f"{argument(name)} must be {wanted}, found {told or value_shown(found)}")
+    held = told or current_spelling().typed(name) or value_shown(found)
+    raise SuppleError(f"{argument(name)} must be {wanted}, found {held}")
 
 
 def number(name: str, value: object, wanted: str, low: float, high: float) -> float:
@@ -98,16 +100,15 @@ def listed(name: str, value: object, wanted: str) -> tuple[Any, ...]:
 
 
 def assign(frozen: object, **values: object) -> None:
-    """Set fields of a frozen dataclass, in its own initialization."""
+    """Set fields of a frozen dataclass, while it is made."""
     for name, value in values.items():
         object.__setattr__(frozen, name, value)
 
 
-def varied(frozen: T, **values: object) -> T:
-    """Return a frozen dataclass with other values of some fields, which are not checked."""
-    made = object.__new__(type(frozen))
-    for name in type(frozen).__dataclass_fields__:  # type: ignore[attr-defined]
-        object.__setattr__(made, name, values[name] if name in values else getattr(frozen, name))
+def varied(given: T, **values: object) -> T:
+    """Return a copy of an object, which may be frozen, with other values of some attributes, which are not checked."""
+    made = copy.copy(given)
+    assign(made, **values)
     return made
 
 

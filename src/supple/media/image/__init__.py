@@ -44,7 +44,7 @@ _SEVERAL = {
     **dict.fromkeys(("PNG", "GIF", "WebP"), "frames, and only the first is read: name an animation or a video, "
                     "out.webp or out.mp4, to keep them all"),
 }  # fmt: skip
-"""What is said of files of several pages or frames, by their format."""
+"""The warning about files of several pages or frames, by their format."""
 
 
 class ImageWarning(UserWarning):

@@ -61,7 +61,7 @@ class FrameCache:
             height, width = clip.layout.shape
             self.rate = float(clip.rate)
             self.turn = turn_of(clip.rotation, clip.aspect, mirrored=clip.mirrored)
-            found = clip.survey.starts if hasattr(clip, "survey") else ()
+            found = () if isinstance(clip, Pictures) else clip.survey.starts
             self.transform = usual_of(clip)  # the view transform, one of `TRANSFORMS`
             self._like = clip.picture(0)[0] if isinstance(clip, Pictures) else None
             self.starts = found if len(found) == clip.count else ()
@@ -152,7 +152,7 @@ class FrameCache:
         if begin is None:
             return
         kept = 0
-        seeks = hasattr(clip, "frames_from")  # image sequences need none
+        seeks = not clip.stills  # image sequences need none
         found = clip.frames_from(begin) if seeks else (pair for pair in enumerate(clip.frames()))
         with contextlib.closing(found) as frames:
             for at, picture in frames:

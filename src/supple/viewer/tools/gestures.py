@@ -151,7 +151,7 @@ class Tools(Drawing, Generic[V]):
 
     @property
     def _beside(self) -> Callable[[Lead[V]], None]:
-        """What a drag with the left button does where there is nothing to grab."""
+        """The effect of a drag with the left button where there is nothing to grab."""
         return lambda lead: None
 
     # Each kind of media has methods of its own for these.

@@ -146,7 +146,7 @@ def tools_of(stage: ImageStage | VolumeStage, document: Document, size: Pair) ->
 
 
 def opened(
-    source: Source, recipe: Recipe | None, canvas: Any, loop: Any, gpu: Gpu | None = None, options: ViewOptions = _USUAL
+    source: Source, recipe: object, canvas: Any, loop: Any, gpu: Gpu | None = None, options: ViewOptions = _USUAL
 ) -> Window:
     """Return the window of a source on a canvas.
 
@@ -154,13 +154,12 @@ def opened(
     """
     with _installed():
         from supple.viewer.window.window import Window
-    given: object = recipe or Recipe()
-    if not isinstance(given, Recipe):
+    if not isinstance(recipe := recipe or Recipe(), Recipe):
         refuse("recipe", "a Recipe, as Recipe.from_json reads one", recipe)
     _exists(source)  # before the GPU, which may be missing, too
     gpu = gpu or _gpu()
     stage = stage_of(gpu, source, options)
-    recipe, geometry = given, None
+    geometry = None
     if isinstance(stage, VolumeStage):
         geometry = stage.volume.geometry
         recipe = in_space(recipe, geometry, stage.name, options.volume.world)
