@@ -209,7 +209,7 @@ def test_a_composition_begins_on_the_grid_of_the_result() -> None:
     field, far = along_x(np.arange(20.0)), Grid((4, 20), origin=(500.0, 0.0))
     with pytest.raises(SuppleError, match=r"the field and the grid of the result do not overlap: from \("):
         compose([field], far)
-    with pytest.raises(SuppleError, match="the affine map has 3 axes, and the grid has 2"):
+    with pytest.raises(SuppleError, match="the affine map is for volumes, with 3 axes"):
         compose([Affine(np.eye(4))], far)
     compose([Affine([[1, 0, -500], [0, 1, 0]]), field], far)
 
@@ -239,7 +239,7 @@ WRONG: list[tuple[Callable[[], Any], str]] = [
     (lambda: FLAT.compose("u.nii"), "a map must be a Field, an Affine, or a Placed with one"),  # type: ignore[arg-type]
     (lambda: FLAT.compose(FLAT, grid=3), "grid must be a Grid"),  # type: ignore[arg-type]
     (lambda: compose([FLAT], None), "grid must be a Grid"),  # type: ignore[arg-type]
-    (lambda: compose([FLAT, Affine(np.eye(4))], Grid((4, 5))), "the affine map has 3 axes, and the grid has 2"),
+    (lambda: compose([FLAT, Affine(np.eye(4))], Grid((4, 5))), "the affine map is for volumes, with 3 axes"),
     (lambda: Placed(np.eye(3)), "a map must be a Field, an Affine"),  # type: ignore[arg-type]
     (lambda: Deformation((4, 5)).field(np.zeros((4, 5, 2))), "field must be a Field"),  # type: ignore[arg-type]
     (lambda: Deformation((4, 5, 6)).field(FLAT), "the field has 2 axes, and the shape"),

@@ -190,8 +190,8 @@ def warn(text: str, category: type[Warning]) -> None:
     own = ("supple", "contextlib", "functools", "torch")
     while frame.f_back is not None and frame.f_globals.get("__name__", "").partition(".")[0] in own:
         frame = frame.f_back
-    place, seen = frame.f_globals, frame.f_globals.setdefault("__warningregistry__", {})
-    warnings.warn_explicit(text, category, frame.f_code.co_filename, frame.f_lineno, place.get("__name__"), seen)
+    name, seen = frame.f_globals.get("__name__", "<string>"), frame.f_globals.setdefault("__warningregistry__", {})
+    warnings.warn_explicit(text, category, frame.f_code.co_filename, frame.f_lineno, name, seen)
 
 
 def said(error: BaseException) -> str:

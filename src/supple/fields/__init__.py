@@ -527,9 +527,7 @@ def compose(maps: Sequence[Map | Placed], grid: Grid) -> Field:
     """
     n = check_grid(grid).ndim
     given = [each if isinstance(each, Placed) else Placed(each) for each in maps]
-    for placed in given:
-        if placed.map.ndim != n:
-            raise SuppleError(f"{placed.told} has {placed.map.ndim} axes, and the grid has {n}")
+    check_axes(given, n, "the result")
     check_path(given, grid, "the grid of the result")
     parts = [placed.packed(np.eye(n + 1)) for placed in given]
     values, certificate = checks.values_at(parts, grid)
@@ -570,6 +568,15 @@ def sampled(field: Field) -> Array:
     if field.interpolation != "bspline":
         return field.values
     return checks.values_at([Placed(field).packed(np.eye(field.ndim + 1))], own_grid(field))[0]
+
+
+def check_axes(maps: Iterable[Placed], ndim: int, name: str) -> None:
+    """Raise SuppleError for a map of another number of axes than an image, ``name``."""
+    for each in maps:
+        if (n := each.map.ndim) != ndim:
+            kinds = ("picture", "volume")[:: 1 if n == 2 else -1]
+            text = f"{each.told} is for {kinds[0]}s, with {n} axes, and {name} is a {kinds[1]}: give one of {ndim} axes"
+            raise SuppleError(text)
 
 
 def check_path(

@@ -7,7 +7,7 @@ import os
 from collections.abc import Sequence
 
 from supple.errors import SuppleError, VolumeWarning, shown, warn
-from supple.fields import Placed, check_path
+from supple.fields import Placed, check_axes, check_path
 from supple.files.options import GridOptions, PathLike
 from supple.media.files import is_store
 from supple.media.medium import opened
@@ -81,12 +81,7 @@ def grid_on(options: GridOptions | None, grid: Grid, name: str, maps: Sequence[P
     SuppleError as in `output_grid`; or if a map has another number of axes; or if the grid, the fields and the input do
     not overlap, even through the maps.
     """
-    for each in maps:
-        n = each.map.ndim
-        if n != grid.ndim:
-            kinds = ("picture", "volume")[:: 1 if n == 2 else -1]
-            text = f"{each.told} is for {kinds[0]}s, with {n} axes, and {name} is a {kinds[1]}: give one of {grid.ndim}"
-            raise SuppleError(f"{text} axes")
+    check_axes(maps, grid.ndim, name)
     made = grid if options is None else output_grid(options, grid)
     if options is not None and options.reference is not None:
         check_path(reversed(maps), made, shown(options.reference), source=grid, name=name)
