@@ -6,6 +6,7 @@ import contextlib
 import json
 import math
 import os
+import re
 import signal
 import sys
 import threading
@@ -13,7 +14,6 @@ import warnings
 from collections.abc import Callable, Iterator, Mapping
 from contextvars import ContextVar
 from dataclasses import asdict, dataclass, field
-from itertools import pairwise
 from types import FrameType
 from typing import TYPE_CHECKING, Any, NoReturn
 
@@ -59,11 +59,9 @@ def naming(**others: str) -> Spelling:
         return f"{known[name]} {'none' if value is None else value}"
 
     def typed(name: str) -> str:
-        wanted, console = known.get(name.partition("[")[0]), _current.get(None)
-        given = console.arguments if console else ()
-        words = [part for word in given for part in (word.split("=", 1) if word.startswith(f"{wanted}=") else [word])]
-        values = [value for word, value in pairwise(words) if word == wanted]
-        return repr(values[0]) if len(values) == 1 else ""
+        wanted, console = known.get(name.partition("[")[0], " "), _current.get(None)
+        given = re.findall(f"(?:^|\0){wanted}[\0=]([^\0]*)", "\0".join(console.arguments if console else ()))
+        return repr(given[0]) if len(given) == 1 else ""
 
     return Spelling(option, "none", typed=typed)
 

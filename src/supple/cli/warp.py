@@ -128,6 +128,7 @@ def warp(
     from supple.files.recipes import check_recipe_name, write_recipe
     from supple.media.files import is_store
     from supple.media.medium import holds_volumes
+    from supple.media.volume import is_dicom
 
     if len(paths) < 2:
         raise SuppleError("give a file to read and a name to write to: supple warp IN OUT --grab …")
@@ -188,7 +189,7 @@ def warp(
     if single:
         medium = replace(template, source=paths[0], target=paths[1]).medium
         # DICOM slices are written to a folder as one volume; a folder of other volumes is a batch, as for pictures
-        single = medium.kind in ("clip", "store") or (medium.kind == "volume" and (not into or medium.is_dicom))
+        single = medium.kind in ("clip", "store") or (medium.kind == "volume" and (not into or is_dicom(paths[0])))
     if single:
         named, many = str if medium.kind == "store" else Path, False
         pairs = list[Pair]([(named(paths[0]), named(paths[1]))])

@@ -163,7 +163,7 @@ class RenderOptions:
         if self.background is not None:
             colour_of("background", self.background)
         if self.rate is not None:
-            number("rate", self.rate, "a number of pictures a second from 0.001 to 10000", 1e-3, 1e4)
+            number("rate", self.rate, "from 0.001 to 10000 pictures a second", 1e-3, 1e4)
             if self.turntable is None:
                 raise SuppleError(
                     f"{argument('rate')} is of a turntable's video, and this is one picture: leave it out"

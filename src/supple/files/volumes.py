@@ -27,7 +27,7 @@ from supple.files.jobs import Job, Warped
 from supple.files.options import GridOptions, PathLike, VolumeOptions
 from supple.folding.resolved import warn_of_still
 from supple.media.files import check_output, replacing
-from supple.media.volume import Volume, check_target, derived, read, suffix_of, write
+from supple.media.volume import Volume, check_target, derived, is_dicom, read, suffix_of, write
 from supple.media.volume.dicom import padding_of
 from supple.space.geometry import Floats, Geometry, Grid
 from supple.strokes import CoordinateSpace, Recipe, Stroke, fit_recipe
@@ -267,7 +267,7 @@ def check(job: Job) -> None:
     source, target, force = job.source, job.target, job.force
     if os.path.isdir(source) and Path(os.path.realpath(source)) in Path(os.path.realpath(target)).parents:
         raise SuppleError(f"{shown(target)} is within {shown(source)}, and would be read with it: write elsewhere")
-    if suffix_of(target) in derived.SUFFIXES and job.medium.is_dicom:
+    if suffix_of(target) in derived.SUFFIXES and is_dicom(job.source):
         derived.check(target, force=force)
     else:
         check_output(target, force=force)

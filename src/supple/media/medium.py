@@ -75,15 +75,6 @@ class Medium:
             return self.outline.grid
         return picture_grid(self.path) if self.kind == "picture" else None
 
-    @property
-    def is_dicom(self) -> bool:
-        """True if it is a volume in DICOM."""
-        if self.kind != "volume" or "raw" in self.how:
-            return False
-        from supple.media.volume import is_dicom
-
-        return is_dicom(self.path)
-
 
 def opened(
     path: PathLike,
