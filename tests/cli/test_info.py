@@ -8,7 +8,8 @@ from typing import Any
 
 import pytest
 
-from tests.cli.commands import GRAB, Run, done, one_line
+from supple.media import image
+from tests.cli.commands import GRAB, Run, done, noise, one_line
 
 
 def test_info(run: Run) -> None:
@@ -39,12 +40,18 @@ def test_info_of_what_is_nothing_known(run: Run) -> None:
     assert "no picture, video" not in run("info", "cut.png")[2]
 
 
-def test_an_empty_folder(run: Run) -> None:
+def test_a_folder(run: Run) -> None:
     Path("empty").mkdir()
     assert "the folder empty holds no pictures or DICOM slices" in one_line(run("info", "empty")[2])
     for name in ("out.nii", "out.nrrd"):
         status, _, err = run("warp", "empty", name, *GRAB)
         assert (status, "there are no DICOM images in that folder" in one_line(err)) == (2, True)
+    for name in ("a.png", "b.nii", "notes.txt"):
+        Path("empty", name).write_bytes(Path("in.png").read_bytes())
+    assert "channels    3" in done(run("info", "empty"))
+    image.write("empty/c.png", noise(9, 9))
+    said = done(run("info", "empty"))
+    assert "  pictures    2: a.png, c.png\n  volumes     1: b.nii\n  as a clip   no: empty/c.png is 9 x 9" in said
 
 
 @pytest.fixture

@@ -90,7 +90,13 @@ def test_points_count_from_the_display_window(run: Run, data: Box, display: Box)
     found, kept = boxes("out.exr")
     assert kept == display
     facts = image.info("out.exr")
-    assert (facts["width"], facts["height"]) == (display[2] - display[0] + 1, display[3] - display[1] + 1)
+    size = (display[2] - display[0] + 1, display[3] - display[1] + 1)
+    assert (facts["width"], facts["height"]) == size
+    assert facts["display_window"] == [*display[:2], *size]
+    left, top, *held = image.info("in.exr")["data_window"]  # type: ignore[misc]
+    assert (left, top, left + held[0] - 1, top + held[1] - 1) == data
+    said = run("info", "in.exr")[1]
+    assert f"windows     data {held[0]} x {held[1]} from ({left}, {top}), display {size[0]} x {size[1]} from (" in said
     assert found[0] <= data[0] + 6
     assert found[1::2] == data[1::2]
     canvas = np.zeros((400, 400), np.float32)  # of all x and y from -100

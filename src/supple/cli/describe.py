@@ -11,11 +11,13 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
-from supple.errors import SuppleError, shown
+from supple.errors import SuppleError, listing, shown
 from supple.files.clips import displayed
 from supple.folding.resolved import described, spelled
+from supple.media.medium import ONE_FILE
 from supple.media.numbering import is_sequence
-from supple.media.suffixes import CLIPS
+from supple.media.pictures import SUFFIXES as PICTURES
+from supple.media.suffixes import CLIPS, suffix_of
 from supple.media.timecode import Numbering
 from supple.space.freezing import Freeze
 from supple.strokes import Recipe, Stroke, spoken
@@ -55,8 +57,18 @@ def describe(name: str, how: Mapping[str, Any]) -> tuple[dict[str, Any], str]:
     if is_sequence(name) and not os.path.isfile(name):
         from supple.media import sequence
 
-        facts = sequence.info(name)
-        del facts["rate"]  # images have no rate
+        try:
+            with sequence.open_clip(name) as clip:
+                facts = clip.info()
+        except SuppleError as refused:
+            kinds = {"pictures": PICTURES, "videos": CLIPS, "volumes": ONE_FILE} if os.path.isdir(name) else {}
+            names = sorted(each for each in os.listdir(name) if each[0] != ".") if kinds else []
+            held = {kind: [each for each in names if suffix_of(each) in kinds[kind]] for kind in kinds}
+            if not any(held.values()):
+                raise
+            lines = {kind: f"{len(some)}: {listing(some, 5)}" for kind, some in held.items() if some}
+            lines |= {"as a clip": f"no: {refused}"} if held["pictures"] else {}
+            return {"file": name, "kind": "folder", **held}, listed(name, {"format": "folder", **lines})
         return {"file": name, "kind": "sequence", **facts}, _sequence(name, facts)
     if suffix in CLIPS:
         return _described_video(name)
@@ -170,7 +182,16 @@ def _picture(name: str, facts: Mapping[str, Any]) -> str:
         "orientation": None if facts["orientation"] == 1 else f"{facts['orientation']}, applied when it is read",
         "pages": None if facts["pages"] == 1 else facts["pages"],
     }
-    return listed(name, lines)
+    return listed(name, lines | _layers(facts))
+
+
+def _layers(facts: Mapping[str, Any]) -> dict[str, str]:
+    """Return the lines on the channels and windows of an OpenEXR; none for other formats."""
+    if "layers" not in facts:
+        return {}
+    boxes = ("{2} x {3} from ({0}, {1})".format(*facts[f"{key}_window"]) for key in ("data", "display"))
+    layers = f"{listing(facts['layers'], 24)}; {facts['compression']} compression"
+    return {"layers": layers, "windows": "data {}, display {}".format(*boxes)}
 
 
 def _video(name: str, facts: Mapping[str, Any]) -> str:
@@ -206,9 +227,6 @@ def _volume(name: str, facts: Mapping[str, Any]) -> str:
         }
         return listed(name, {"format": "DICOM, several series: choose by --series", **lines})
 
-    def spoken(numbers: Any) -> str:
-        return ", ".join(f"{x:.6g}" for x in numbers)
-
     convention, (slope, intercept) = facts["convention"], facts["scaling"]
     lines = {
         "format": facts["format"],
@@ -220,7 +238,7 @@ def _volume(name: str, facts: Mapping[str, Any]) -> str:
         held = f"{facts['field_holds']} in {facts['field_space']}"
         lines["field"] = f"{held}, convention {facts['field']}: supple check tells what it does"
     if convention != "array":
-        lines["origin"] = f"{spoken(facts['origin'])} ({convention})"
+        lines["origin"] = f"{', '.join(f'{x:.6g}' for x in facts['origin'])} ({convention})"
         leaning = f", oblique by up to {facts['oblique']:.3g}°" if facts["oblique"] else ""
         lines["axes"] = f"towards {facts['orientation']}{leaning}"
         if facts["shear"]:
@@ -245,7 +263,7 @@ def _sequence(name: str, facts: Mapping[str, Any]) -> str:
         "channels": f"{facts['channels']}{', the last is opacity' if facts['alpha'] else ''}",
         "depth": facts["dtype"],
     }
-    return listed(name, lines)
+    return listed(name, lines | _layers(facts))
 
 
 def listed(name: str, lines: Mapping[str, object]) -> str:

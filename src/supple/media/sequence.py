@@ -131,13 +131,13 @@ class Pictures(FrameSource):
             "width": width,
             "height": height,
             "frames": self.count,
-            "rate": str(self.rate),
             "channels": group.channels,
             "dtype": str(self.layout.dtype),
             "alpha": group.alpha,
             "format": self.format,
             "first": str(self.paths[0]),
             "last": str(self.paths[-1]),
+            **(exr.info(self.paths[0]) if is_exr(self.paths[0]) else {}),
         }
 
 
@@ -241,12 +241,6 @@ def open_clip(path: PathLike, *, rate: float | Fraction = 24, target: PathLike |
             text = f"{shown(target)} cannot take over {' and '.join(lost)} of {shown(path)}"
             warn(text, MetadataWarning)
     yield Pictures(shown(os.fspath(path)), paths, known, first)
-
-
-def info(path: PathLike) -> dict[str, object]:
-    """Return the facts in the headers of the images."""
-    with open_clip(path) as clip:
-        return clip.info()
 
 
 def _rate(rate: float | Fraction) -> Fraction:

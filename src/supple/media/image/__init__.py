@@ -311,13 +311,16 @@ def info(path: PathLike) -> dict[str, object]:
     dict
         ``width`` and ``height`` upright, ``channels``, ``dtype``, ``bits``, ``alpha``, ``format``,
         ``interpretation``, ``profile`` (the name of the colour profile, or None), ``orientation`` (1 to 8, as
-        stored), ``pages`` and ``bytes``.
+        stored), ``pages`` and ``bytes``; of an OpenEXR, also ``layers`` (all channels), ``compression``,
+        ``data_window`` and ``display_window`` (x, y, width, height).
 
     Raises
     ------
     SuppleError
         As in `read`, but damage in the pixels is not detected.
     """
+    from supple.media.image import exr
+
     image, form = opened(path)
     pages, orientation, bits = facts(image)
     size = (image.height, image.width) if orientation >= 5 else (image.width, image.height)
@@ -335,6 +338,7 @@ def info(path: PathLike) -> dict[str, object]:
         "orientation": orientation,
         "pages": pages,
         "bytes": os.stat(path).st_size,
+        **(exr.info(path) if formats.is_exr(path) else {}),
     }
 
 
