@@ -467,7 +467,7 @@ def test_a_camera_inside() -> None:
         ({"clip": ((1, 2), (5, 3), (1, 2))}, "clip must be from a lower to a higher voxel .*, found 5:3 along y"),
         ({"clip": ((1, 2), (7, None), (1, 2))}, "found 7:7 along y"),
         ({"clip": ((-1, 2), (1, 2), (1, 2))}, "within the voxels of the volume, 0:7, 0:7, 0:7, found -1:2 along x"),
-        ({"step": 0}, "step must be millimetres, at least 0.001"),
+        ({"step": 0}, "step must be millimetres from 0.001 to 1e9"),
         ({"tolerance": -1}, "tolerance"),
         ({"geometry": 3}, "geometry must be a Geometry, found 3"),
         ({"deformation": "x"}, "deformation must be a Deformation, found 'x'"),

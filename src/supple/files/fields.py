@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from supple.errors import FoldWarning, OutsideWarning, SuppleError, argument, shown, warn
-from supple.fields import OK, Field, Map, Placed, check_path, compose, own_grid, told, write_maps
+from supple.fields import OK, Field, Map, Placed, check_axes, check_path, compose, own_grid, told, write_maps
 from supple.fields.checks import FieldReport
 from supple.files.maps import (
     MapFile,
@@ -250,9 +250,8 @@ def check_file(
     _warn_of_size(read.path, read.convention, image, read.grid)
     check_images(field.ndim, map=map)
     other = None if inverse is None else read_file(inverse, convention, source=own_grid(field))
-    if other is not None and (n := only_field(other).ndim) != field.ndim:
-        text = f"{shown(source)} is a field of {field.ndim} axes, and {shown(other.path)} of {n}: give two of as many"
-        raise SuppleError(text)
+    if other is not None:
+        check_axes([Placed(only_field(other), name=shown(other.path))], field.ndim, shown(source))
     folded, logarithms = field.folded_cells(), field.log_jacobian()
     distances = None if other is None else field.distances(only_field(other))
     report = field.reported(folded, logarithms, distances)

@@ -12,7 +12,7 @@ import numpy as np
 
 from supple.engine.work import Array, Tell
 from supple.errors import SuppleError, argument, shown
-from supple.fields import Field, Map, Placed, own_grid, read_maps, told, write_maps
+from supple.fields import Field, Map, Placed, check_axes, own_grid, read_maps, told, write_maps
 from supple.files.grids import reference_grid
 from supple.files.jobs import Job
 from supple.files.transforms import displacement_of
@@ -126,11 +126,8 @@ def optional_grid(path: PathLike | None) -> Grid | None:
 
 def check_reference(read: MapFile, grid: Grid | None, path: PathLike | None) -> None:
     """Raise SuppleError if the grid of a reference has another number of axes than the maps."""
-    if grid is not None and path is not None and any(each.ndim != grid.ndim for each in read.maps):
-        kinds = ("picture", "volume")[:: 1 if grid.ndim == 2 else -1]
-        raise SuppleError(
-            f"{shown(path)} is a {kinds[0]}, and {shown(read.path)} is for {kinds[1]}s: give the grid of a {kinds[1]}"
-        )
+    if grid is not None and path is not None:
+        check_axes([Placed(each, name=shown(read.path)) for each in read.maps], grid.ndim, shown(path))
 
 
 def convention_out(target: PathLike, to: str | None, otherwise: str | None) -> tuple[str, str]:

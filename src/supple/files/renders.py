@@ -472,7 +472,7 @@ def _check_target(target: PathLike, suffix: str, known: RenderOptions, force: bo
         text = f"a turntable is many pictures, and {name} is one: name a video ({', '.join(turntable.SUFFIXES)})"
         raise SuppleError(f"{text} or a pattern, such as turn-%03d.png")
     if many and known.rate is not None:
-        raise SuppleError(f"rate is that of a video, and {name} names pictures: leave it out")
+        raise SuppleError(f"{argument('rate')} is of a video, and {name} names pictures: leave it out")
     if not many and has_number(target):
         text = f"{name} names many pictures: give {argument('turntable')} with their number, or a name without one"
         raise SuppleError(text)
