@@ -77,10 +77,8 @@ def describe(name: str, how: Mapping[str, Any]) -> tuple[dict[str, Any], str]:
     try:
         facts = info(name)
     except SuppleError as refused:
-        try:
+        with contextlib.suppress(SuppleError):
             return _described_video(name)
-        except SuppleError:
-            pass
         if "no image of a known kind" in str(refused):
             what = "it is no picture, video, volume or recipe of a known kind"
             raise SuppleError(f"cannot read {shown(name)}: {what}: give one of these") from None
@@ -170,13 +168,12 @@ def _described_video(name: str) -> tuple[dict[str, Any], str]:
 
 
 def _picture(name: str, facts: Mapping[str, Any]) -> str:
-    channels = int(facts["channels"])
-    depth = f"{facts['bits']} bit{' float' if str(facts['dtype']).startswith('float') else ''}"
+    opacity = ", the last is opacity" if facts["alpha"] else ""
     lines = {
         "format": facts["format"],
         "size": f"{facts['width']} x {facts['height']}",
-        "channels": f"{channels}{', the last is opacity' if facts['alpha'] else ''} ({facts['interpretation']})",
-        "depth": depth,
+        "channels": f"{facts['channels']}{opacity} ({facts['interpretation']})",
+        "depth": f"{facts['bits']} bit{' float' if str(facts['dtype']).startswith('float') else ''}",
         "profile": facts["profile"] or "none",
         "bytes": f"{facts['bytes']:,}",
         "orientation": None if facts["orientation"] == 1 else f"{facts['orientation']}, applied when it is read",
