@@ -69,7 +69,7 @@ def describe(name: str, how: Mapping[str, Any]) -> tuple[dict[str, Any], str]:
             lines = {kind: f"{len(some)}: {listing(some, 5)}" for kind, some in held.items() if some}
             lines |= {"as a clip": f"no: {refused}"} if held["pictures"] else {}
             return {"file": name, "kind": "folder", **held}, listed(name, {"format": "folder", **lines})
-        return {"file": name, "kind": "sequence", **facts}, _sequence(name, facts)
+        return {"file": name, "kind": "sequence", **facts}, _picture(name, facts)
     if suffix in CLIPS:
         return _described_video(name)
     from supple.media.image import info
@@ -168,27 +168,25 @@ def _described_video(name: str) -> tuple[dict[str, Any], str]:
 
 
 def _picture(name: str, facts: Mapping[str, Any]) -> str:
-    opacity = ", the last is opacity" if facts["alpha"] else ""
+    """Return the description of a picture, or of those of a sequence, which have a ``first`` one."""
+    first, kind = facts.get("first"), f" ({facts['interpretation']})" if "interpretation" in facts else ""
+    depth = f"{facts['bits']} bit{' float' * facts['dtype'].startswith('float')}" if "bits" in facts else facts["dtype"]
     lines = {
-        "format": facts["format"],
+        "format": f"{'pictures, ' if first else ''}{facts['format']}",
         "size": f"{facts['width']} x {facts['height']}",
-        "channels": f"{facts['channels']}{opacity} ({facts['interpretation']})",
-        "depth": f"{facts['bits']} bit{' float' if str(facts['dtype']).startswith('float') else ''}",
-        "profile": facts["profile"] or "none",
-        "bytes": f"{facts['bytes']:,}",
-        "orientation": None if facts["orientation"] == 1 else f"{facts['orientation']}, applied when it is read",
-        "pages": None if facts["pages"] == 1 else facts["pages"],
+        "frames": f"{facts['frames']}, from {shown(first)} to {shown(facts['last'])}" if first else None,
+        "channels": f"{facts['channels']}{', the last is opacity' if facts['alpha'] else ''}{kind}",
+        "depth": depth,
+        "profile": None if first else facts["profile"] or "none",
+        "bytes": None if first else f"{facts['bytes']:,}",
+        "orientation": f"{facts['orientation']}, applied when it is read" if facts.get("orientation", 1) > 1 else None,
+        "pages": facts["pages"] if facts.get("pages", 1) > 1 else None,
     }
-    return listed(name, lines | _layers(facts))
-
-
-def _layers(facts: Mapping[str, Any]) -> dict[str, str]:
-    """Return the lines on the channels and windows of an OpenEXR; none for other formats."""
-    if "layers" not in facts:
-        return {}
-    boxes = ("{2} x {3} from ({0}, {1})".format(*facts[f"{key}_window"]) for key in ("data", "display"))
-    layers = f"{listing(facts['layers'], 24)}; {facts['compression']} compression"
-    return {"layers": layers, "windows": "data {}, display {}".format(*boxes)}
+    if "layers" in facts:
+        boxes = ("{2} x {3} from ({0}, {1})".format(*facts[f"{key}_window"]) for key in ("data", "display"))
+        lines["layers"] = f"{listing(facts['layers'], 24)}; {facts['compression']} compression"
+        lines["windows"] = "data {}, display {}".format(*boxes)
+    return listed(name, lines)
 
 
 def _video(name: str, facts: Mapping[str, Any]) -> str:
@@ -250,17 +248,6 @@ def _volume(name: str, facts: Mapping[str, Any]) -> str:
     if facts["interval"] is not None:
         lines["interval"] = f"{facts['interval']:g} s"
     return listed(name, lines)
-
-
-def _sequence(name: str, facts: Mapping[str, Any]) -> str:
-    lines = {
-        "format": f"pictures, {facts['format']}",
-        "size": f"{facts['width']} x {facts['height']}",
-        "frames": f"{facts['frames']}, from {shown(facts['first'])} to {shown(facts['last'])}",
-        "channels": f"{facts['channels']}{', the last is opacity' if facts['alpha'] else ''}",
-        "depth": facts["dtype"],
-    }
-    return listed(name, lines | _layers(facts))
 
 
 def listed(name: str, lines: Mapping[str, object]) -> str:
