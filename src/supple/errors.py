@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 from functools import partial
 from importlib import import_module
 from importlib.util import find_spec
-from types import FrameType
 from typing import Any
 
 _ANY: Any = object()  # marks an argument that is named without a value
@@ -48,7 +47,7 @@ PYTHON = Spelling(lambda name, value: name if value is _ANY else f"{name}={value
 JSON = Spelling(lambda name, value: name if value is _ANY else f'"{name}": {value!r}', "null")
 _face = PYTHON  # the default of all threads
 _here: ContextVar[Spelling | None] = ContextVar("spelling", default=None)
-_starter: ContextVar[FrameType | None] = ContextVar("starter", default=None)  # what started this thread
+_starter: ContextVar[Any] = ContextVar("starter", default=None)  # the frame that started this thread
 
 
 def current_spelling() -> Spelling:

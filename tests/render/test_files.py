@@ -306,7 +306,7 @@ BAD: list[tuple[list[str], str]] = [
     (["in.nii", "out.png", "--clip", ":,:,:24"], "found 0:24 along z"),
     (["in.nii", "out.png", "--clip", "nan:,:,:"], "--clip must be numbers of voxels, found 'nan:,:,:'"),
     (["in.nii", "out.png", "--density", "300,400"], "nothing is seen of in.nii: its values go from 0 to 200"),
-    (["in.nii", "out.png", "--rate", "12"], "--rate is of a turntable's video, and this is one picture: leave it"),
+    (["in.nii", "out.png", "--rate", "12"], "--rate is of a turntable's video, and this is a picture: leave it"),
     (["in.nii", "%d.png", "--turntable", "3", "--rate", "12"], "--rate is of a video, and %d.png names pictures"),
     (["in.nii", "out.png", "--size", "big"], "--size"),
     (["in.nii", "out.png", "--size", "0x5"], "from 1 to"),

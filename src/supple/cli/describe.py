@@ -8,7 +8,6 @@ import math
 import os
 from collections.abc import Mapping
 from fractions import Fraction
-from pathlib import Path
 from typing import Any
 
 from supple.errors import SuppleError, listing, shown
@@ -38,7 +37,7 @@ def describe(name: str, how: Mapping[str, Any]) -> tuple[dict[str, Any], str]:
     ``how`` has options of `supple.media.volume.read`. SuppleError if it is no picture, video, image sequence, volume,
     Zarr store or recipe (.json).
     """
-    suffix = Path(name).suffix.lower()
+    suffix = suffix_of(name)
     if suffix == ".json":
         from supple.files.recipes import read_recipe
 

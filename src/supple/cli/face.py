@@ -15,8 +15,6 @@ if TYPE_CHECKING:
     from supple.files.places import Places
 
 FACES = Group("Faces", sort_key=1)
-
-
 _percent = partial(parse_percent, wanted="percent from -100 to 100", low=-100, high=100)
 _PERCENT = partial(read, _percent, "PERCENT", show_default=False)
 

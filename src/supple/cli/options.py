@@ -138,8 +138,7 @@ def _rate(option: str, text: str) -> "float | Fraction":
     except (ValueError, ZeroDivisionError):
         rate = 0.0
     if not 1e-4 <= rate <= 1e5:
-        wanted = "a number of frames a second from 0.0001 to 100000, or 24000/1001"
-        raise SuppleError(f"{option} must be {wanted}, found {text!r}")
+        raise SuppleError(f"{option} must be frames a second, 0.0001 to 100000, or 24000/1001, found {text!r}")
     return rate
 
 

@@ -104,8 +104,7 @@ class VolumeOptions:
         from supple.media.volume import is_dicom
 
         for name in ("series", "irregular"):
-            named = getattr(self, name) is not None and (os.path.exists(path) or has_number(path))
-            if named and not is_dicom(path):
+            if getattr(self, name) is not None and (os.path.exists(path) or has_number(path)) and not is_dicom(path):
                 raise SuppleError(f"{argument(name)} is for DICOM folders, and {shown(path)} is none: leave it out")
 
     @property

@@ -80,8 +80,7 @@ def _warp(job: Job, tell: Tell, place: PathLike | None) -> Warped:
     made = Warped(Path(source), Path(target), "picture", (deformation,), sampling.tolerance)
     space = replace(deformation.space_on(regrid), count=picture.pages)
     if place is not None:
-        onto = regrid or (None if held == own else own)
-        _write_map(place, deformation.space_on(onto), held, own, sampling.tolerance)
+        _write_map(place, deformation.space_on(regrid or (None if held == own else own)), held, own, sampling.tolerance)
     encoded = job.quality is not None or job.lossless or job.compression is not None
     if space.is_identity and not encoded and _format(source) == _format(target):
         # Encoding a lossy image again would change it.

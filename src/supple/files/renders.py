@@ -165,9 +165,7 @@ class RenderOptions:
         if self.rate is not None:
             number("rate", self.rate, "from 0.001 to 10000 pictures a second", 1e-3, 1e4)
             if self.turntable is None:
-                raise SuppleError(
-                    f"{argument('rate')} is of a turntable's video, and this is one picture: leave it out"
-                )
+                raise SuppleError(f"{argument('rate')} is of a turntable's video, and this is a picture: leave it out")
         if self.what == "inversions":
             for name in ("meshes", "shadows", "silhouettes", "turntable", "annotate", "legend", "background"):
                 if getattr(self, name):
