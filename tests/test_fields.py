@@ -201,6 +201,10 @@ def test_compositions_warn_of_folds_and_of_what_is_outside() -> None:
     ) as told:
         compose([Placed(folded, True, name="u.nii")], Grid((4, 40)))
     assert len(told) == 1
+    # Used as it is, it has one value at each point.
+    here = r"^u\.nii folds; \d+ of the points found lie in a part that is turned over \(supple check shows where\)$"
+    with pytest.warns(FoldWarning, match=here):
+        compose([Placed(folded, name="u.nii")], Grid((4, 40)))
     with pytest.warns(OutsideWarning):
         compose([Placed(away, True)], Grid((4, 20)))
 

@@ -449,11 +449,15 @@ def test_points_of_another_shape_are_refused() -> None:
         ((324, 380), (369.4, 51.6), (132.0, 101.5), 4.9),
         ((664, 643), (264.1, 650.9), (546.4, 95.3), 8.7),
         ((300, 451), (100.0, 100.0), (445.0, 290.0), 5.0),
+        # A pixel where T⁻¹ is so steep that it is found from strokes undone to the end alone.
+        ((500, 500), (276.44789852, 60.87532892), (300.81249980, 451.25691266), 2.2430945600873615),
+        ((500, 500), (330.02830123, 415.46685154), (279.91665034, 125.47445204), 2.0103779831756374),
     ],
 )
-def test_powers_of_a_single_pixel_do_not_count_where_it_has_no_sample(
+def test_single_pixels_along_long_thin_drags_are_as_exact_as_they_are_said_to_be(
     shape: tuple[int, int], at: tuple[float, float], to: tuple[float, float], radius: float
 ) -> None:
+    """The powers of such a pixel's patch are steep, and do not count where it has no sample."""
     d = Deformation(shape).grab(at, to=to, radius=radius)
     p = plan(d, 0.01)
     measured, unknown = p.measure(1e-5)

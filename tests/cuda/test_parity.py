@@ -182,6 +182,14 @@ REACHES: dict[str, supple.Deformation] = {
 }
 
 
+@pytest.mark.parametrize("times", [2, 12])
+def test_constants_of_wide_numbers_stay_constant(times: int) -> None:
+    d = squeezed((30, 24), times)
+    for dtype, value in (("i4", 2**31 - 1), ("i8", 2**50 + 1), ("f8", 1e6 / 3)):
+        source = np.full((*d.shape, 3), value, dtype)
+        np.testing.assert_allclose(on_host(d.warp(sent(source))), source, rtol=0 if dtype == "i4" else 1e-14)
+
+
 @pytest.mark.parametrize("name", REACHES)
 def test_reach(name: str) -> None:
     d = REACHES[name]

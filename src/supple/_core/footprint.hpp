@@ -132,6 +132,14 @@ INLINE Print print_of(int kind, float sx, float sy, float rho, int whole_x, int 
     return p;
 }
 
+// The weights of rows as other numbers, which add up to 1 as exactly as these can: what is constant stays so.
+template <class N, class W>
+INLINE void widen(const W* weight, int apart, N* wider) {
+    N rest = 1;
+    for (int j = 0; j < WINDOW; j++) rest -= wider[j] = (N)weight[j * apart];
+    if (sizeof(N) > sizeof(W)) wider[2] += rest;
+}
+
 // A spot of the variance 12 Σ = (xx, xy; xy, yy) at (x, y) in a level.
 template <class P, class N, class Level>
 INLINE P spot(const Level& level, N x, N y, N xx, N xy, N yy) {

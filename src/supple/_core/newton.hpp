@@ -321,8 +321,15 @@ INLINE Solved<D, V> solved(const Chain& chain, const Axis* axes, const V* q, dou
         Solved<D, V> more = polished(found, enough);
         more.at.done = both(more.at.done, found.done);
         if (any(without(all, either(known.at.done, more.at.done)))) {
-            // The map varies over the last step: continue Newton's method to the end.
-            newton<D>(chain, axes, q, finest * least(1e-6, 1e-4 * tolerance), 20, found, STEEP * enough);
+            // The map varies over the last step: continue Newton's method to the end, or start from strokes undone so.
+            const double end = finest * least(1e-6, 1e-4 * tolerance);
+            newton<D>(chain, axes, q, end, 20, found, STEEP * enough);
+            if (any(without(all, either(found.done, either(known.at.done, more.at.done))))) {
+                Solution<D, V> anew;
+                undo<D>(chain, axes, q, end, anew);
+                anew.steps += found.steps;
+                found = choose(found.done, found, anew);
+            }
             Solved<D, V> last = polished(found, enough);
             last.at.done = found.done;
             more = merged(more, last);

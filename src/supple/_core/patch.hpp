@@ -65,33 +65,30 @@ INLINE V at(const V* c, V s, V t, V& ds, V& dt) {
 }
 
 // The Newton step from the point of a patch at (s, t) to T⁻¹(q) of a chain; returns its squared length. q is in pixels,
-// and `across_plane` the mean ∂p/∂z of the corners.
-template <int D, class V>
+// and `across_plane` the mean ∂p/∂z of the corners. With D TANGENTS, the longer one of that by the slopes of the patch
+// and that by the Jacobian of T: they are far from each other where T⁻¹ is steep at once.
+template <int D, int TANGENTS, class V>
 INLINE V off_chain(const Chain& chain, const Axis* axes, const V (*c)[16], V s, V t, const V* q, const V* across_plane,
                    V* step) {
     V x[D], ds[D], dt[D], e[D], off2{};
     for (int d = 0; d < D; d++) x[d] = at(c[d], s, t, ds[d], dt[d]) * axes[d].spacing;
-    apply<D>(chain, axes, x);
-    for (int d = 0; d < D; d++) e[d] = x[d] / axes[d].spacing - q[d];
+    auto jet = jet_at<D, TANGENTS>(x);
+    carry(chain, axes, jet);
+    for (int d = 0; d < D; d++) e[d] = jet.x[d] / axes[d].spacing - q[d];
     for (int d = 0; d < D; d++) {
         step[d] = ds[d] * e[0] + dt[d] * e[1];
         if constexpr (D == 3) step[d] += across_plane[d] * e[2];
         off2 += step[d] * step[d];
     }
-    return off2;
-}
-// The squared length of that step by the Jacobian of T, which that of a patch is far from where T⁻¹ is steep at once.
-template <int D, class V>
-INLINE V off_newton(const Chain& chain, const Axis* axes, const V (*c)[16], V s, V t, const V* q) {
-    V x[D], ds, dt, e[D], m[D][D], off2{};
-    for (int d = 0; d < D; d++) x[d] = at(c[d], s, t, ds, dt) * axes[d].spacing;
-    auto jet = jet_at<D, D>(x);
-    carry(chain, axes, jet);
-    invert(jet.t, m);
-    for (int d = 0; d < D; d++) e[d] = jet.x[d] - q[d] * axes[d].spacing;
-    for (int d = 0; d < D; d++) {
-        const V step = times<D>(m, e, d) / axes[d].spacing;
-        off2 += step * step;
+    if constexpr (TANGENTS > 0) {
+        V m[D][D], newton2{};
+        invert(jet.t, m);
+        for (int d = 0; d < D; d++) e[d] *= axes[d].spacing;
+        for (int d = 0; d < D; d++) {
+            const V newton = times<D>(m, e, d) / axes[d].spacing;
+            newton2 += newton * newton;
+        }
+        off2 = most(off2, newton2);
     }
     return off2;
 }

@@ -519,9 +519,10 @@ void Plan<D>::check(Work& w) {
             if (map) {
                 off = off_composite<D>(*map, axes.data(), c, s, t, q, g, steps);
                 for (int i = 0; i < LANES && start + i < count; i++) w.band->evaluations += steps[i];
-            } else
-                off = off_chain<D>(chain, axes.data(), c, s, t, q, across_plane, g);
-            if (!map && n == 0) off = most(off, off_newton<D>(chain, axes.data(), c, s, t, q));
+            } else if (n > 0)
+                off = off_chain<D, 0>(chain, axes.data(), c, s, t, q, across_plane, g);
+            else
+                off = off_chain<D, D>(chain, axes.data(), c, s, t, q, across_plane, g);
             for (int d = 0; n < 5 && d < D; d++) step[n][d] = g[d];
             off = choose(off == off, off, splat<Lanes>(1e300));
             worst = most(worst, off);

@@ -276,7 +276,8 @@ NOINLINE void sample_footprints(const Frames<T>& given, const Pyramid<N>& pyrami
                 return spot_at<N, C, STRIDE>(taps, r, across, &prints.left[0][k], &prints.right[0][k]);
             else {
                 N left[WINDOW], right[WINDOW];
-                for (int j = 0; j < WINDOW; j++) left[j] = prints.left[j][k], right[j] = prints.right[j][k];
+                widen(&prints.left[0][k], STRIDE, left);
+                widen(&prints.right[0][k], STRIDE, right);
                 return spot_at<N, C, 1>(taps, r, across, left, right);
             }
         };

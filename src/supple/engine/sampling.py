@@ -217,12 +217,16 @@ def warn_of(
     name of the field, if there is only one.
     """
     if folds or certificate.unknown or certificate.folded:
-        told = [f"{folds or f'{field_name} folds'}: where folds are mapped to, the inverse is one of several points"]
+        inverted = folds or certificate.unknown  # otherwise, the field is perhaps used as it is
+        told = [folds or f"{field_name} folds"]
+        if inverted:
+            told[0] += ": where folds are mapped to, the inverse is one of several points"
         if certificate.folded:
             told.append(f"{certificate.folded} of the points found lie in a part that is turned over")
         if certificate.unknown:
             told.append(f"for {certificate.unknown} of them there is a guess, as no solution was found")
-        warn(f"{'; '.join(told)} (the statuses of supple invert show where)", FoldWarning)
+        where = "the statuses of supple invert show" if inverted else "supple check shows"
+        warn(f"{'; '.join(told)} ({where} where)", FoldWarning)
     if certificate.outside:
         warn(
             f"to {certificate.outside} of the points solved, no point of a field's grid is mapped: what is shown there "

@@ -236,7 +236,8 @@ def write_field(work: Work, runner: Runner, tell: Tell, maps: Sequence[Placed]) 
             done += there
     pull, push = certificates
     warn_of(pull, tolerance, folds=folds_of(maps), field_name=only_name(maps))
-    warn_of(push, tolerance, field_name=f"{only_name(maps)}, as it is solved for {shown(target.address)},")
+    solved = f"{only_name(maps)} folds, as it is solved for {shown(target.address)}"
+    warn_of(push, tolerance, folds=solved if push.folded or push.unknown else "")
     target.note(
         {**{way: _told(one, tolerance) for way, one in zip(_WAYS, certificates, strict=True)}, "chunks": stored}
     )

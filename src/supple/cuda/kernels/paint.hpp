@@ -170,9 +170,9 @@ struct Level {
             const int j = i - at.shift;
             taps.across[0][i] = i < 4 ? N(0.5) * keys(i, N(at.first)) : 0;
             taps.across[1][i] = j >= 0 && j < 4 ? N(0.5) * keys(j, N(at.second)) : 0;
-            taps.down[0][i] = left[i];
-            taps.down[1][i] = right[i];
         }
+        widen(left, 1, taps.down[0]);
+        widen(right, 1, taps.down[1]);
         return window(x - 1, y - 1, taps);
     }
     template <class W>
