@@ -321,7 +321,7 @@ INLINE Solved<D, V> solved(const Chain& chain, const Axis* axes, const V* q, dou
         Solved<D, V> more = polished(found, enough);
         more.at.done = both(more.at.done, found.done);
         if (any(without(all, either(known.at.done, more.at.done)))) {
-            // The map varies over the last step: continue Newton's method to the end, or start from strokes undone so.
+            // The map varies over the last step: continue Newton's method to the end, or undo each stroke to the end.
             const double end = finest * least(1e-6, 1e-4 * tolerance);
             newton<D>(chain, axes, q, end, 20, found, STEEP * enough);
             if (any(without(all, either(found.done, either(known.at.done, more.at.done))))) {
