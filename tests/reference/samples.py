@@ -278,7 +278,8 @@ def sample_frames(
         if between == "nearest":
             weight = (np.floor(t + 0.5) == k).astype(np.float64)
         else:
-            weight = averaged(between, k - t, spread)
+            weight, near = np.zeros(t.shape), np.abs(k - t) < 2 + spread / 2
+            weight[near] = averaged(between, (k - t)[near], spread[near])
         seen = weight != 0
         if not seen.any():
             continue
