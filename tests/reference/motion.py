@@ -235,15 +235,14 @@ def freedom(freeze: Freeze, points: Floats, axis: int | None = None) -> Floats:
     kept = [k for k, n in enumerate(freeze.size) if n > 1]
     if axis is not None and axis not in kept:  # a clip's mask is the same in all frames
         return np.zeros(points.shape[:-1])
-    values, knots, at = (freeze.coefficients.T / 255).squeeze(), [], []
+    values, knots, at = np.ascontiguousarray(freeze.coefficients.T / 255).squeeze(), [], []
     if not kept:
         return np.full(points.shape[:-1], values)
     for k in kept:
         n, h, first = freeze.size[k], freeze.step[k], freeze.first[k]
         knots.append(first + h * np.arange(-2, n + 2))
         at.append(np.clip(points[..., k], first + h, first + (n - 2) * h))
-    nu = None if axis is None else [int(k == axis) for k in kept]
-    return np.asarray(NdBSpline(tuple(knots), np.ascontiguousarray(values), 3)(np.stack(at, -1), nu=nu))
+    return np.asarray(NdBSpline(tuple(knots), values, 3)(np.stack(at, -1), nu=[int(k == axis) for k in kept]))
 
 
 def frozen(domain: Domain, points: Floats) -> npt.NDArray[np.bool_]:

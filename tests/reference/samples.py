@@ -22,9 +22,8 @@ Array = npt.NDArray[Any]
 def _cubic(t: Floats, a: float) -> Floats:
     """Return Keys' cubic convolution kernel."""
     x = np.abs(t)
-    square, cube = x * x, x * x * x  # fast, unlike powers
-    inner = (a + 2) * cube - (a + 3) * square + 1
-    outer = a * (cube - 5 * square + 8 * x - 4)
+    inner = ((a + 2) * x - (a + 3)) * x * x + 1  # powers are slow
+    outer = a * (((x - 5) * x + 8) * x - 4)
     return np.where(x < 1, inner, np.where(x < 2, outer, 0.0))
 
 
