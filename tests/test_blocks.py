@@ -106,7 +106,7 @@ def cases(draw: st.DrawFn) -> tuple[Warp, Array, list[int]]:
         grid = (grid or d.grid).crop((3,) * ndim, [size - 5 for size in (grid or d.grid).sizes])
     channels = draw(st.sampled_from([0, 0, 1, 3, 4]))
     source = samples((*shape, *([channels] if channels else [])), draw(st.sampled_from(TYPES)), rng)
-    steps = rng.integers(11, 70, ndim).tolist()
+    steps = rng.integers((6, 11, 11)[-ndim:], (40, 70, 70)[-ndim:]).tolist()
     return Warp(d, draw(samplings(ndim)), grid), source, steps
 
 
