@@ -18,7 +18,7 @@ from supple.engine.sampling import Sampling
 from supple.engine.work import Group, Layout, Work
 from tests import reference
 from tests.core.drawn import deformations, plan, sampling
-from tests.effort import examples
+from tests.effort import EVERY, examples
 
 pytestmark = pytest.mark.filterwarnings("ignore::supple.FoldWarning")
 
@@ -157,7 +157,7 @@ def test_a_box_is_a_crop(filter: str, dtype: str, channels: int, how: dict[str, 
 @pytest.mark.parametrize("pulls", [False, True])
 def test_parts_of_long_drags_are_parts(pulls: bool) -> None:
     """Strokes of many steps, which the neighbours of a part's pixels may need, and the part not."""
-    for seed in range(12):
+    for seed in range(-(-12 // EVERY)):
         rng, d = np.random.default_rng(seed), Deformation((160, 160), border=None)
         for _ in range(1 if pulls else 3):
             n, radius, reach = 4 if pulls else 1, float(rng.uniform(8, 30)), float(rng.choice([1, 2, 4]))

@@ -30,9 +30,9 @@ def regions(shape: tuple[int, ...], count: int, dtype: str = "uint8", seed: int 
 def shares(labels: Array, warp: Any, fill: float | None = None) -> tuple[Array, Array]:
     """Return the labels of the largest shares, and by how much they are larger than the next ones."""
     known = np.unique(labels if fill is None else np.append(labels.ravel(), labels.dtype.type(fill)))
-    found = np.stack([warp((labels == k).astype(np.float32), float(k == fill)) for k in known])
-    two = np.sort(found, axis=0)[-2:]
-    return known[found.argmax(axis=0)], two[1] - two[0]
+    found = warp((labels[..., None] == known).astype(np.float32), known == fill)  # the map is solved once for all
+    two = np.sort(found, axis=-1)[..., -2:]
+    return known[found.argmax(axis=-1)], two[..., 1] - two[..., 0]
 
 
 def close(ours: Array, theirs: Array, margin: Array) -> None:
@@ -59,7 +59,7 @@ def test_a_volume_against_slow_numpy() -> None:
     labels = regions(d.shape, 5, "int16") - 50
     made = d.warp(labels, filter="labels")
 
-    def warp(one: Array, _: float) -> Array:
+    def warp(one: Array, _: Array) -> Array:
         return slow.warp_frames(one, carried_out(d), d.domain, "auto", "cubic", time_filter=True)
 
     theirs, margin = shares(labels, warp)
@@ -68,7 +68,7 @@ def test_a_volume_against_slow_numpy() -> None:
 
 @pytest.mark.parametrize(
     ("dtype", "shape", "channels"),
-    pairs(["bool", "uint16", "int32", "float32", "f8", ">i2"], [(60, 130), (20, 70, 40)], [0, 2]),
+    pairs(["bool", "uint16", "int32", "float32", "f8", ">i2"], [(60, 130), (11, 50, 36)], [0, 2]),
 )
 def test_every_type_has_the_labels_of_one_warp_for_each(dtype: str, shape: tuple[int, ...], channels: int) -> None:
     d = Deformation(shape).grab([n * 0.4 for n in shape[::-1]], by=[6, -5, 3][: len(shape)], radius=16)

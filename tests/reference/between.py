@@ -20,10 +20,12 @@ def displacement_at(
     With u(m) the displacement of what is at m halfway, it is that v for which v = u(p + (1/2 - a) v).
     """
     place = (points - first) / apart
-    v = np.zeros((len(points), 3))
+    v, values = np.zeros((len(points), 3)), fields[..., :3].astype(np.float64)
     for _ in range(60):
         at = place + (0.5 - a)[:, None] * v[:, :2] / apart
-        v = _interpolated(fields[..., :3].astype(np.float64), at[:, 0], at[:, 1], "linear", "edge", np.zeros(3))
+        before, v = v, _interpolated(values, at[:, 0], at[:, 1], "linear", "edge", np.zeros(3))
+        if np.abs(v - before).max(initial=0) < 1e-13:
+            break
     return v
 
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy.interpolate import BSpline
+from scipy.interpolate import NdBSpline
 from scipy.spatial.transform import Rotation
 
 from supple.deformation import Deformation
@@ -232,23 +232,17 @@ def radius_of_support(stroke: Stroke) -> float:
 
 def freedom(freeze: Freeze, points: Floats, axis: int | None = None) -> Floats:
     """Return m of a freeze mask at points (..., D) in samples, or its derivative along an axis, by another library."""
-    flat = points.reshape(-1, points.shape[-1])
-    if axis is not None and axis >= freeze.ndim:  # a clip's mask is the same in all frames
+    kept = [k for k, n in enumerate(freeze.size) if n > 1]
+    if axis is not None and axis not in kept:  # a clip's mask is the same in all frames
         return np.zeros(points.shape[:-1])
-    weights = []
-    for k in range(freeze.ndim):
+    values, knots, at = np.ascontiguousarray(freeze.coefficients.T / 255).squeeze(), [], []
+    if not kept:
+        return np.full(points.shape[:-1], values)
+    for k in kept:
         n, h, first = freeze.size[k], freeze.step[k], freeze.first[k]
-        if n == 1:
-            weights.append(np.full((len(flat), 1), 0.0 if axis == k else 1.0))
-            continue
-        x = np.clip(flat[:, k], first + h, first + (n - 2) * h)
-        spline = BSpline(first + h * np.arange(-2, n + 2), np.eye(n), 3)
-        weights.append((spline.derivative() if axis == k else spline)(x))
-    # The first axis is the last of the coefficients: a product of matrices, and sums along what is left of it.
-    made = np.tensordot(weights[0], freeze.coefficients / 255, (1, -1))
-    for weight in weights[1:]:
-        made = (made * weight.reshape(len(flat), *[1] * (made.ndim - 2), -1)).sum(axis=-1)
-    return np.asarray(made.reshape(points.shape[:-1]))
+        knots.append(first + h * np.arange(-2, n + 2))
+        at.append(np.clip(points[..., k], first + h, first + (n - 2) * h))
+    return np.asarray(NdBSpline(tuple(knots), values, 3)(np.stack(at, -1), nu=[int(k == axis) for k in kept]))
 
 
 def frozen(domain: Domain, points: Floats) -> npt.NDArray[np.bool_]:

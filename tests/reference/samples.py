@@ -22,8 +22,8 @@ Array = npt.NDArray[Any]
 def _cubic(t: Floats, a: float) -> Floats:
     """Return Keys' cubic convolution kernel."""
     x = np.abs(t)
-    inner = (a + 2) * x**3 - (a + 3) * x**2 + 1
-    outer = a * (x**3 - 5 * x**2 + 8 * x - 4)
+    inner = ((a + 2) * x - (a + 3)) * x * x + 1  # powers are slow
+    outer = a * (((x - 5) * x + 8) * x - 4)
     return np.where(x < 1, inner, np.where(x < 2, outer, 0.0))
 
 
@@ -48,24 +48,24 @@ def _place(i: Integers, n: int, rule: str) -> Integers:
     return np.asarray(np.array([*range(n), *range(n - 1, -1, -1)])[i % (2 * n)])
 
 
-def _at(source: Array, i: Integers, j: Integers, rule: str, fill: Array) -> Array:
-    """Return the samples at columns i and rows j, outside as the boundary mode has it."""
-    height, width = source.shape[:2]
-    i, j = _place(i, width, rule), _place(j, height, rule)
-    found = source[j, i]
-    return np.asarray(np.where(((i < 0) | (j < 0))[..., None], fill, found) if rule == "constant" else found)
+def _at(source: Array, i: Integers, j: Integers, fill: Array) -> Array:
+    """Return the samples at columns i and rows j, of which -1 is none."""
+    none = (i < 0) | (j < 0)
+    return np.asarray(np.where(none[..., None], fill, source[j, i]) if none.any() else source[j, i])
 
 
 def _interpolated(source: Floats, x: Floats, y: Floats, name: str, rule: str, fill: Floats) -> Floats:
     """Return the interpolant's values: two by two samples, or four by four."""
     reach, kernel = {"linear": (1, _linear), "cubic": (2, _keys)}[name]
-    left, top = np.floor(x).astype(np.int64), np.floor(y).astype(np.int64)
-    total = np.zeros((*x.shape, source.shape[2]))
-    for b in range(1 - reach, reach + 1):
-        down = kernel(y - (top + b))
-        for a in range(1 - reach, reach + 1):
-            weight = kernel(x - (left + a)) * down
-            total += weight[..., None] * _at(source, left + a, top + b, rule, fill)
+
+    def taps(at: Floats, n: int) -> list[tuple[Floats, Integers]]:
+        near = [np.floor(at).astype(np.int64) + k for k in range(1 - reach, reach + 1)]
+        return [(kernel(at - i), _place(i, n, rule)) for i in near]
+
+    total, columns = np.zeros((*x.shape, source.shape[2])), taps(x, source.shape[1])
+    for down, j in taps(y, source.shape[0]):
+        for along, i in columns:
+            total += (along * down)[..., None] * _at(source, i, j, fill)
     return total
 
 
@@ -217,8 +217,9 @@ def sample(
     x, y = points[..., 0], points[..., 1]
     if filter == "nearest":
         constant = np.broadcast_to(np.asarray(fill), (channels,)).astype(source.dtype)
-        i, j = np.floor(x + 0.5).astype(np.int64), np.floor(y + 0.5).astype(np.int64)
-        return _at(source, i, j, outside, constant)
+        nearest = [np.floor(at + 0.5).astype(np.int64) for at in (x, y)]
+        i, j = (_place(at, n, outside) for at, n in zip(nearest, source.shape[1::-1], strict=True))
+        return _at(source, i, j, constant)
     values, inside = source.astype(np.float64), np.broadcast_to(np.asarray(fill, np.float64), (channels,))
     if filter != "auto":
         return _interpolated(values, x, y, filter, outside, inside)
@@ -237,6 +238,8 @@ KERNELS: dict[str, tuple[int, Callable[[Floats], Floats]]] = {"linear": (1, _lin
 def averaged(name: str, t: Floats, width: Floats) -> Floats:
     """Return a kernel's mean over a box of some width around t; the kernel itself where the box has no width."""
     reach, kernel = KERNELS[name]
+    if not (width > 1e-3).any():
+        return kernel(t)
     nodes, weights = np.polynomial.legendre.leggauss(4)  # exact for what is cubic between the knots
     low, high = t - width / 2, t + width / 2
     total = np.zeros(np.broadcast(t, width).shape)
@@ -274,7 +277,8 @@ def sample_frames(
         if between == "nearest":
             weight = (np.floor(t + 0.5) == k).astype(np.float64)
         else:
-            weight = averaged(between, k - t, spread)
+            weight, near = np.zeros(t.shape), np.abs(k - t) < 2 + spread / 2
+            weight[near] = averaged(between, (k - t)[near], spread[near])
         seen = weight != 0
         if not seen.any():
             continue

@@ -371,16 +371,16 @@ def test_a_clip_is_shown_as_it_is_exported(gpu: Gpu, clip: Path) -> None:
 def test_what_takes_long_is_announced(gpu: Gpu, volume: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(gpu, "software", False)  # whose scenes have no previews
     monkeypatch.setattr(stages, "time", SimpleNamespace(perf_counter=lambda: 0.0))  # however busy the machine is
-    view, hand = opened(volume)
-    hand.drag((160, 150), (175, 150))
+    view, hand = opened(volume, size=(588, 330))
+    hand.drag((60, 80), (66, 80))
     hand.key("c")
-    hand.move(200, 150)
-    hand.press(200, 150)
-    hand.move(205, 150, 1)
+    hand.move(75, 80)
+    hand.press(75, 80)
+    hand.move(77, 80, 1)
     view._changed_at = -10.0
     hand.canvas.draw()
     assert view.stage._seconds[True] == np.inf  # what the mask costs is not known yet
-    hand.release(205, 150)
+    hand.release(77, 80)
     hand.canvas.draw()
     assert not view.computing  # it moves nothing yet
     view.document.add(Stroke.grab(tuple(view.tools.sight.cross), by=(5, 0, 0), radius=30))
@@ -394,9 +394,9 @@ def test_what_takes_long_is_announced(gpu: Gpu, volume: Path, monkeypatch: pytes
     # In a drag, such an image waits until the pointer rests.
     view.stage._seconds[True] = 2.0
     hand.key("g")
-    hand.move(100, 150)
-    hand.press(100, 150)
-    hand.move(120, 150, 1)
+    hand.move(40, 80)
+    hand.press(40, 80)
+    hand.move(48, 80, 1)
     hand.canvas.draw()
     assert view.document.dragging
     assert view.stage.is_slow(view.document.deformation)
@@ -404,7 +404,7 @@ def test_what_takes_long_is_announced(gpu: Gpu, volume: Path, monkeypatch: pytes
     for _ in range(2):
         hand.canvas.draw()
     assert view.stage._bent[0][0] is view.document.deformation
-    hand.release(120, 150)
+    hand.release(48, 80)
 
 
 def test_a_volume_is_frozen_in_a_plane_and_rendered(gpu: Gpu, volume: Path) -> None:

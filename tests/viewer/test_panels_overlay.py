@@ -61,7 +61,7 @@ def test_a_damped_stroke_of_a_volume_shows_how_far_it_was_to_go(
 ) -> None:
     monkeypatch.setattr(gpu, "software", False)
     stroke = Stroke.grab((18, 27, 30), by=(0, 0, -15), radius=12)
-    view, hand = opened(volume, Recipe(border=None, on_fold="damp", strokes=(stroke,)), size=(700, 480))
+    view, hand = opened(volume, Recipe(border=None, on_fold="damp", strokes=(stroke,)), size=(560, 300))
     hand.key("4")  # the rendering, on the whole canvas
     assert missed(view) > 1.5
     damped = red(hand.canvas.draw())

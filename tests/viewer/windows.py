@@ -108,7 +108,7 @@ class Hand:
         self.pass_frame()
         self.release(*place)
         self.pass_frame()
-        self.canvas.draw()
+        self.pass_frame()
 
     def drag(self, start: tuple[float, float], end: tuple[float, float], button: int = 1, steps: int = 4) -> None:
         self.move(*start)
@@ -118,7 +118,7 @@ class Hand:
             self.move(x, y, button)
             self.pass_frame()
         self.release(*end, button)
-        self.canvas.draw()
+        self.pass_frame()
 
     def draw(self, *way: tuple[float, float]) -> None:
         self.move(*way[0])
@@ -127,7 +127,7 @@ class Hand:
             self.move(x, y, 1)
             self.pass_frame()
         self.release(*way[-1])
-        self.canvas.draw()
+        self.pass_frame()
 
     def wheel(self, x: float, y: float, dy: float) -> None:
         self.send("wheel", x=x, y=y, dx=0.0, dy=dy, buttons=())
