@@ -25,7 +25,7 @@ def _files(here: Path, inputs: Path) -> None:
 
 
 FILES: list[tuple[str, str | None, str]] = [
-    ("code.nii", None, "of the intent code 1002, which several programs write: give the convention: afni"),
+    ("code.nii", None, "of the intent code 1002, which several programs write: give "),
     ("code.nii", "itk", "5 axes and the intent code 1002, and a field of ITK has 5 and the code 1007"),
     ("u.nii", "mrtrix", "its intent code is 1007, and that of a field in the convention mrtrix is 0"),
     ("u.nii", "opencv", "the suffix .nii is of no map of OpenCV's"),
@@ -50,7 +50,7 @@ FILES: list[tuple[str, str | None, str]] = [
     ("cut.nii.gz", None, "it is cut short"),
     ("cut.npy", "opencv", "it is no array of NumPy's, or cut short"),
     ("folder.nii", None, "it is a folder or no plain file"),
-    ("folder", None, "a name without suffix tells no convention: give the convention"),
+    ("folder", None, "a name without suffix tells no convention: give "),
     ("flow.npy", None, "it is not always a map of positions, as of OpenCV's: give "),
     ("gone.jpg", None, "No such file or directory"),
     ("in.png", None, "it is not always an STMap: give "),
