@@ -36,7 +36,7 @@ FILES: list[tuple[str, str | None, str]] = [
     ("complex.nii", None, "its voxels are of complex64"),
     ("complex.npy", "opencv", "it holds complex64 of shape (40, 48, 2): give real numbers"),
     ("nan.nii", None, "1 voxel of 504 hold NaN or infinity: give a field that is finite everywhere"),
-    ("nan.npy", "opencv", "1 of its 1920 positions are NaN or infinite: fill them first"),
+    ("nan.npy", "opencv", "1 of its 1920 positions is NaN or infinite: fill them first"),
     ("mask.nii", None, "it holds one value for each voxel, as an image or a mask: give a field with three"),
     ("mask.nii", "fsl-relative", "it holds one value for each voxel, as an image or a mask"),
     ("two.nii", None, "it holds two values for each voxel, as a field of a picture: give a field with three"),

@@ -268,31 +268,13 @@ class TimeOptions:
 
 
 @options_of(VIDEO)
-class RateOptions(TimeOptions):
+class FilterOptions(TimeOptions):
     """Options for videos and image sequences that are read.
 
     Parameters
     ----------
     rate
         Frames per second when an image sequence becomes a video: 25, 29.97 or 24000/1001 (default 24).
-    """
-
-    rate: Annotated[Any, read(_rate, "N", name="--fps")] = None
-
-    def to_clip(self) -> "ClipOptions":
-        """Return the options as a `ClipOptions`."""
-        from supple.files.options import ClipOptions
-
-        given = {name: value for name, value in vars(self).items() if value not in (None, "files")}
-        return ClipOptions(**given)
-
-
-@options_of(VIDEO)
-class FilterOptions(RateOptions):
-    """Options for videos and image sequences whose frames are sampled.
-
-    Parameters
-    ----------
     between
         Interpolation between frames: flow, which follows what moves (default, if supple[flow] is installed), linear
         (the default without it), cubic or nearest.
@@ -304,7 +286,15 @@ class FilterOptions(RateOptions):
 
     between: Annotated[Literal["flow", "linear", "cubic", "nearest"] | None, Parameter()] = None
     time_filter: bool = False
+    rate: Annotated[Any, read(_rate, "N", name="--fps")] = None
     memory: Annotated[float | None, read(parse_memory, "GB")] = None
+
+    def to_clip(self) -> "ClipOptions":
+        """Return the options as a `ClipOptions`."""
+        from supple.files.options import ClipOptions
+
+        given = {name: value for name, value in vars(self).items() if value not in (None, "files")}
+        return ClipOptions(**given)
 
 
 @options_of(VIDEO)

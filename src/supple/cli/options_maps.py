@@ -73,11 +73,13 @@ class MapOptions:
 
 
 @options_of()
-class SamplesOptions:
-    """Options of the samples of the output's grid.
+class GridArguments:
+    """Options of the grid of the output.
 
     Parameters
     ----------
+    reference
+        Write the result on the grid of another image: of a volume, its place in space; of a picture, its size.
     crop
         Write only a part of the grid: its first sample, and its size. It equals that part of the whole, bit for bit.
     resample
@@ -85,14 +87,23 @@ class SamplesOptions:
         --reference, and before --crop.
     """
 
+    reference: Annotated[str | None, Parameter(group=OUTPUT, metavar="FILE")] = None
     crop: Annotated[str | None, text("X,Y,W,H|X,Y,Z,W,H,D", group=OUTPUT)] = None
     resample: Annotated[str | None, text("S|SX,SY[,SZ]", group=OUTPUT)] = None
 
-    def to_grid(self, onto: str | None, *, strokes: bool = False) -> "GridOptions | None":
-        """Return the options of a grid for the library, with a reference ``onto``; None if none is given."""
+    @property
+    def onto(self) -> str | None:
+        """The image whose grid the output has; None if not given."""
+        fixed = getattr(self, "fixed", None)
+        if fixed is not None and self.reference is not None:
+            raise SuppleError("--fixed and --reference name the same grid: leave --reference out")
+        return fixed or self.reference
+
+    def to_grid(self) -> "GridOptions | None":
+        """Return the options of the output grid for the library; None if none is given."""
         from supple.files.options import GridOptions
 
-        if onto is None and self.crop is None and self.resample is None:
+        if self.onto is None and self.crop is None and self.resample is None:
             return None
         box = steps = None
         if self.crop is not None:
@@ -102,30 +113,20 @@ class SamplesOptions:
             wanted = "a spacing S above 0, or one for each axis, SX,SY or SX,SY,SZ"
             steps = parse_numbers("--resample", self.resample, wanted, ends=(5e-324, 1e308))
         spacing = steps if steps is None or len(steps) > 1 else steps[0]
-        return GridOptions(onto, box, spacing, strokes=strokes)
+        return GridOptions(self.onto, box, spacing, strokes=self.onto != self.reference)
 
 
 @options_of()
-class OutputOptions(SamplesOptions):
-    """Options of the grid of the output.
+class OutputOptions(GridArguments):
+    """Options of the grid of the output, and of the strokes.
 
     Parameters
     ----------
-    reference
-        Write the result on the grid of another image: of a volume, its place in space; of a picture, its size.
     fixed
         Like --reference, and the strokes are on that grid, too: as supple view --fixed saves them.
     """
 
-    reference: Annotated[str | None, Parameter(group=OUTPUT, metavar="FILE")] = None
     fixed: Annotated[str | None, Parameter(group=OUTPUT, metavar="FILE")] = None
-
-    @property
-    def onto(self) -> str | None:
-        """The image whose grid the output has; None if not given."""
-        if self.fixed is not None and self.reference is not None:
-            raise SuppleError("--fixed and --reference name the same grid: leave --reference out")
-        return self.fixed or self.reference
 
 
 @dataclass(slots=True)

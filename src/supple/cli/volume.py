@@ -12,7 +12,7 @@ from cyclopts import Group, Parameter
 
 from supple.cli.console import STREAM, current, naming, say_convention, told, warn_of_software
 from supple.cli.options import (
-    RateOptions,
+    FilterOptions,
     RunOptions,
     Texts,
     VolumeArguments,
@@ -25,7 +25,7 @@ from supple.cli.options import (
     read,
     whole,
 )
-from supple.cli.options_maps import MapOptions, Reference, SamplesOptions
+from supple.cli.options_maps import GridArguments, MapOptions, Reference
 from supple.cli.options_strokes import Edits, StrokeOptions
 from supple.engine.devices import workers
 from supple.errors import SuppleError, spelling
@@ -303,10 +303,9 @@ def points(
     refer_to: Annotated[str | None, Parameter(metavar="SERIES")] = None,
     strokes: StrokeOptions = StrokeOptions(),
     maps: MapOptions = MapOptions(),
-    reference: Reference = None,
-    output: SamplesOptions = SamplesOptions(),
+    output: GridArguments = GridArguments(),
     volume: VolumeArguments = VolumeArguments(),
-    video: RateOptions = RateOptions(),
+    video: FilterOptions = FilterOptions(),
     options: RunOptions = RunOptions(),
 ) -> None:
     """Move landmarks, a mesh or contours by a deformation: as what they mark moves, from the input to the output.
@@ -324,9 +323,6 @@ def points(
         File to write, of the same kind.
     on
         The volume, picture or video that is deformed; voxels and pixels of points are its own.
-    reference
-        The image on whose grid the result of the maps is written, such as the fixed one of a registration: points of
-        the output in voxels are its own.
     refer_to
         The DICOM series that a moved structure set refers to, such as the bent one: a folder, or one of its slices.
     """
@@ -336,11 +332,11 @@ def points(
 
     if options.json and target == STREAM:
         raise SuppleError("--json writes to standard output, and so does -: leave one out")
-    grid = output.to_grid(reference)
+    grid = output.to_grid()
     reading = volume.to_reading(strokes=strokes.bends)
     edits = strokes.read(
-        maps, reading, console.arguments, on, reference=reference, frames=video.frames(on), points=True, back=True,
-        empty=grid is not None,
+        maps, reading, console.arguments, on,
+        reference=output.reference, frames=video.frames(on), empty=grid is not None, points=True, back=True,
     )  # fmt: skip
     deformation, geometry, seen = _deformation(on, edits, reading, video, strokes.to_fit(), source, grid)
     with piped((source, target), console, ".csv") as (read, written):
@@ -363,7 +359,7 @@ def points(
 
 
 def _deformation(
-    on: str, edits: Edits, reading: Reading, video: RateOptions, fit: Fit | None, points: str, grid: GridOptions | None
+    on: str, edits: Edits, reading: Reading, video: FilterOptions, fit: Fit | None, of: str, grid: GridOptions | None
 ) -> tuple[Deformation, Geometry | None, Grid | None]:
     """Return the deformation of a file by strokes and maps; a volume's geometry; and the output's grid, if given."""
     from supple.deformation import Deformation
@@ -383,7 +379,7 @@ def _deformation(
     medium = job.medium
     if medium.grid is not None and medium.grid.ndim == 3:
         volume = medium.outline
-        warn_of_frame(points, volume)
+        warn_of_frame(of, volume)
         seen = None if grid is None else output_grid(grid, volume.grid)
         return on_volume(job, volume), volume.geometry, seen
     if reading.world:

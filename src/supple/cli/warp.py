@@ -131,7 +131,7 @@ def warp(
 
     if len(paths) < 2:
         raise SuppleError("give a file to read and a name to write to: supple warp IN OUT --grab …")
-    grid, typed = output.to_grid(output.onto, strokes=output.fixed is not None), video.frames(paths[0])
+    grid, typed = output.to_grid(), video.frames(paths[0])
     reading = volume.to_reading(strokes=strokes.bends, labels=labels)
     edits_of = partial(
         strokes.read, maps, reading, console.arguments,
@@ -390,7 +390,7 @@ def plan(
     from supple.files.stores import PLANNED, plan_file
 
     console = options.start(source)
-    grid = output.to_grid(output.onto, strokes=output.fixed is not None)
+    grid = output.to_grid()
     reading = volume.to_reading(strokes=strokes.bends, labels=labels)
     edits = strokes.read(
         maps, reading, console.arguments, source, target=PLANNED, reference=output.onto, empty=grid is not None

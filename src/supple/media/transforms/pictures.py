@@ -35,15 +35,16 @@ _WHITE = 65_535
 _Planes = tuple[Array, Array, Array | None, tuple[int, int], tuple[int, int]]
 
 
-def _displacements(path: PathLike, x: Array, y: Array, first: tuple[int, int] = (0, 0)) -> Displacements:
-    """Return displacements from the source positions x and y (H, W) of pixels, the first at ``first``, (x, y)."""
+def displacements(path: PathLike, x: Array, y: Array, first: tuple[int, int] = (0, 0)) -> Displacements:
+    """Return displacements for a map, from the source positions x and y (H, W) of pixels, the first at ``first``."""
     height, width = x.shape
     values = np.empty((height, width, 2), np.float64 if max(x.itemsize, y.itemsize) == 8 else np.float32)
     np.subtract(x, np.arange(first[0], first[0] + width, dtype=np.float64), out=values[..., 0], casting="same_kind")
     rows = np.arange(first[1], first[1] + height, dtype=np.float64)[:, None]
     np.subtract(y, rows, out=values[..., 1], casting="same_kind")
     if bad := np.count_nonzero(~np.isfinite(values).all(axis=-1)):
-        raise unreadable(path, f"{bad} of its {height * width} positions are NaN or infinite", "fill them first")
+        be = "is" if bad == 1 else "are"
+        raise unreadable(path, f"{bad} of its {height * width} positions {be} NaN or infinite", "fill them first")
     return Displacements(values, Grid((height, width), origin=first), beyond="edge")
 
 
@@ -69,7 +70,7 @@ def read_remap(path: PathLike, grids: Grids) -> tuple[Content, ...]:
     suffix = Path(path).suffix.lower()
     check_suffix(path, suffix, REMAP, "is of no map of OpenCV's", f"use {', '.join(REMAP)}", "read")
     arrays = (_arrays if suffix in (".npy", ".npz") else _matrices)(path)
-    return (_displacements(path, *_planes(path, _chosen(path, arrays))),)
+    return (displacements(path, *_planes(path, _chosen(path, arrays))),)
 
 
 def write_remap(path: PathLike, contents: Sequence[Content], grids: Grids, *, force: bool = False) -> None:
@@ -178,7 +179,7 @@ def read_stmap(path: PathLike, grids: Grids) -> tuple[Content, ...]:
         warn(text, OutsideWarning)
     width, height = _size(path, grids, own, unreadable)
     x, y = (s.astype(np.float64) * width - 0.5, (1 - t.astype(np.float64)) * height - 0.5)
-    found = _displacements(path, x, y, first)
+    found = displacements(path, x, y, first)
     return (found._replace(values=found.values.astype(np.float32)),)
 
 
