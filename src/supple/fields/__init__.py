@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import os
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
@@ -349,8 +350,8 @@ class Inverted:
     """
 
     field: Field
-    error: npt.NDArray[np.float32] = field(repr=False)
-    status: npt.NDArray[np.uint8] = field(repr=False)
+    error: npt.NDArray[np.float32] = dataclasses.field(repr=False)
+    status: npt.NDArray[np.uint8] = dataclasses.field(repr=False)
 
     @property
     def counts(self) -> dict[str, int]:
