@@ -1,8 +1,8 @@
 """Supple bends images, videos and volumes, as if by hand, and never tears them."""
 
 from importlib import import_module
-from typing import TYPE_CHECKING
 
+TYPE_CHECKING = False  # not imported, as an interrupt of imports here would be a traceback
 if TYPE_CHECKING:
     from supple.arrays import warp_batch as warp_batch
     from supple.deformation import Arrival as Arrival

@@ -25,7 +25,7 @@ def _files(here: Path, inputs: Path) -> None:
 
 
 FILES: list[tuple[str, str | None, str]] = [
-    ("code.nii", None, "of the intent code 1002, which several programs write: give the convention: afni"),
+    ("code.nii", None, "of the intent code 1002, which several programs write: give "),
     ("code.nii", "itk", "5 axes and the intent code 1002, and a field of ITK has 5 and the code 1007"),
     ("u.nii", "mrtrix", "its intent code is 1007, and that of a field in the convention mrtrix is 0"),
     ("u.nii", "opencv", "the suffix .nii is of no map of OpenCV's"),
@@ -36,7 +36,7 @@ FILES: list[tuple[str, str | None, str]] = [
     ("complex.nii", None, "its voxels are of complex64"),
     ("complex.npy", "opencv", "it holds complex64 of shape (40, 48, 2): give real numbers"),
     ("nan.nii", None, "1 voxel of 504 hold NaN or infinity: give a field that is finite everywhere"),
-    ("nan.npy", "opencv", "1 of its 1920 positions are NaN or infinite: fill them first"),
+    ("nan.npy", "opencv", "1 of its 1920 positions is NaN or infinite: fill them first"),
     ("mask.nii", None, "it holds one value for each voxel, as an image or a mask: give a field with three"),
     ("mask.nii", "fsl-relative", "it holds one value for each voxel, as an image or a mask"),
     ("two.nii", None, "it holds two values for each voxel, as a field of a picture: give a field with three"),
@@ -50,7 +50,7 @@ FILES: list[tuple[str, str | None, str]] = [
     ("cut.nii.gz", None, "it is cut short"),
     ("cut.npy", "opencv", "it is no array of NumPy's, or cut short"),
     ("folder.nii", None, "it is a folder or no plain file"),
-    ("folder", None, "a name without suffix tells no convention: give the convention"),
+    ("folder", None, "a name without suffix tells no convention: give "),
     ("flow.npy", None, "it is not always a map of positions, as of OpenCV's: give "),
     ("gone.jpg", None, "No such file or directory"),
     ("in.png", None, "it is not always an STMap: give "),

@@ -54,6 +54,17 @@ def test_an_interrupt_in_mid_write_leaves_nothing(here: Path, number: int, statu
     assert os.listdir("out") == []
 
 
+@pytest.mark.parametrize("seconds", [0.08, 0.15, 0.25])
+def test_an_early_interrupt_is_one_line(here: Path, seconds: float) -> None:
+    process = start("view", "gone.png", "--grab", "1,1:2,2", "--radius", "9", "--codec", "none")
+    time.sleep(seconds)
+    process.send_signal(signal.SIGINT)
+    ended, out, err = finish(process)
+    assert (out, len(err.splitlines())) == ("", 1)
+    assert ended in (2, 130)
+    assert ended == 2 or err == "supple: interrupted\n"
+
+
 def test_an_interrupt_among_many_leaves_whole_files(here: Path) -> None:
     os.mkdir("in")
     for i in range(6):

@@ -81,10 +81,9 @@ _COMMANDS = (
 )
 _OF_FILES = ("--recipe", "--save-recipe", "--save-field", "--on", "--field", "--affine", "--reference")
 _PYTHON = "Restoring and smoothing are for Python (Deformation.restore) and for the window (supple view)"
-# Advice for unknown options that other commands have, or that have another way.
+# Advice for unknown options that have another way.
 _ELSEWHERE = {
     "--gpu": "--device gpu is for render and demo, and info --gpu tells what there is",
-    "--device": "It is for warp, render and demo",
     "--restore": _PYTHON,
     "--smooth": _PYTHON,
 }
@@ -141,16 +140,21 @@ def _dispatch(arguments: Sequence[str]) -> None:
     except CycloptsError as error:
         if isinstance(error.__cause__, SuppleError):  # of a value: its message is complete
             raise error.__cause__ from None
-        raise SuppleError(f"{_advised(error)} (supple --help tells more)") from None
+        raise SuppleError(f"{_advised(error, app)} (supple --help tells more)") from None
 
 
-def _advised(error: CycloptsError) -> str:
+def _advised(error: CycloptsError, app: App) -> str:
     """Return the text of an error about options, with better advice than cyclopts' suggestions of similar names."""
     text = str(error).strip().rstrip(".")
     wrong, _, meant = text.partition(" Did you mean")
     if isinstance(error, UnknownOptionError):
-        instead = _ELSEWHERE.get((error.token.keyword or error.token.value).partition("=")[0])
-        return text if instead is None else f"{wrong} {instead}"
+        option = (error.token.keyword or error.token.value).partition("=")[0]
+        verbs = [usage.partition(" ")[0] for _, usage in _COMMANDS]
+        having = [
+            verb for verb in verbs if any(option in each.names for each in app[verb].assemble_argument_collection())
+        ]
+        instead = _ELSEWHERE.get(option) or (having and f"It is an option of {', '.join(having)}")
+        return f"{wrong.rstrip('.')}. {instead}" if instead else text
     if isinstance(error, MissingArgumentError) and error.argument and error.command_chain:
         if not error.argument.name.startswith("--"):
             usage = next(usage for _, usage in _COMMANDS if usage.startswith(error.command_chain[0]))

@@ -268,36 +268,24 @@ class TimeOptions:
 
 
 @options_of(VIDEO)
-class VideoOptions(TimeOptions):
-    """Options for videos and image sequences.
+class FilterOptions(TimeOptions):
+    """Options for videos and image sequences that are read.
 
     Parameters
     ----------
+    rate
+        Frames per second when an image sequence becomes a video: 25, 29.97 or 24000/1001 (default 24).
     between
         Interpolation between frames: flow, which follows what moves (default, if supple[flow] is installed), linear
         (the default without it), cubic or nearest.
     time_filter
         Average over several frames where the deformation speeds time up: motion blur instead of jagged edges.
-    codec
-        Video codec: h264, hevc, vp9, av1, ffv1, prores, … (default: that of the input).
-    crf
-        Constant rate factor of the encoder: lower values give better quality and larger files (18 for H.264).
-    preset
-        Speed preset of the encoder: slower presets give smaller files (medium, slow, …).
-    pixel_format
-        Pixel format: yuv420p, yuv444p10le, … (default: that of the input).
-    rate
-        Frames per second when an image sequence becomes a video: 25, 29.97 or 24000/1001 (default 24).
     memory
         Memory for frames, in gigabytes (default 2). What does not fit is kept in a temporary file.
     """
 
     between: Annotated[Literal["flow", "linear", "cubic", "nearest"] | None, Parameter()] = None
     time_filter: bool = False
-    codec: Annotated[str | None, Parameter(metavar="NAME")] = None
-    crf: Annotated[float | None, number("a number", "N")] = None
-    preset: Annotated[str | None, Parameter(metavar="NAME")] = None
-    pixel_format: Annotated[str | None, Parameter(metavar="NAME")] = None
     rate: Annotated[Any, read(_rate, "N", name="--fps")] = None
     memory: Annotated[float | None, read(parse_memory, "GB")] = None
 
@@ -307,6 +295,28 @@ class VideoOptions(TimeOptions):
 
         given = {name: value for name, value in vars(self).items() if value not in (None, "files")}
         return ClipOptions(**given)
+
+
+@options_of(VIDEO)
+class VideoOptions(FilterOptions):
+    """Options for videos and image sequences that are written.
+
+    Parameters
+    ----------
+    codec
+        Video codec: h264, hevc, vp9, av1, ffv1, prores, … (default: that of the input).
+    crf
+        Constant rate factor of the encoder: lower values give better quality and larger files (18 for H.264).
+    preset
+        Speed preset of the encoder: slower presets give smaller files (medium, slow, …).
+    pixel_format
+        Pixel format: yuv420p, yuv444p10le, … (default: that of the input).
+    """
+
+    codec: Annotated[str | None, Parameter(metavar="NAME")] = None
+    crf: Annotated[float | None, number("a number", "N")] = None
+    preset: Annotated[str | None, Parameter(metavar="NAME")] = None
+    pixel_format: Annotated[str | None, Parameter(metavar="NAME")] = None
 
 
 @options_of(VIDEO)

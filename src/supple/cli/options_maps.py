@@ -73,15 +73,13 @@ class MapOptions:
 
 
 @options_of()
-class OutputOptions:
+class GridArguments:
     """Options of the grid of the output.
 
     Parameters
     ----------
     reference
         Write the result on the grid of another image: of a volume, its place in space; of a picture, its size.
-    fixed
-        Like --reference, and the strokes are on that grid, too: as supple view --fixed saves them.
     crop
         Write only a part of the grid: its first sample, and its size. It equals that part of the whole, bit for bit.
     resample
@@ -90,16 +88,13 @@ class OutputOptions:
     """
 
     reference: Annotated[str | None, Parameter(group=OUTPUT, metavar="FILE")] = None
-    fixed: Annotated[str | None, Parameter(group=OUTPUT, metavar="FILE")] = None
     crop: Annotated[str | None, text("X,Y,W,H|X,Y,Z,W,H,D", group=OUTPUT)] = None
     resample: Annotated[str | None, text("S|SX,SY[,SZ]", group=OUTPUT)] = None
 
     @property
     def onto(self) -> str | None:
         """The image whose grid the output has; None if not given."""
-        if self.fixed is not None and self.reference is not None:
-            raise SuppleError("--fixed and --reference name the same grid: leave --reference out")
-        return self.fixed or self.reference
+        return self.reference
 
     def to_grid(self) -> "GridOptions | None":
         """Return the options of the output grid for the library; None if none is given."""
@@ -115,7 +110,27 @@ class OutputOptions:
             wanted = "a spacing S above 0, or one for each axis, SX,SY or SX,SY,SZ"
             steps = parse_numbers("--resample", self.resample, wanted, ends=(5e-324, 1e308))
         spacing = steps if steps is None or len(steps) > 1 else steps[0]
-        return GridOptions(self.onto, box, spacing, strokes=self.fixed is not None)
+        return GridOptions(self.onto, box, spacing, strokes=self.onto != self.reference)
+
+
+@options_of()
+class OutputOptions(GridArguments):
+    """Options of the grid of the output, and of the strokes.
+
+    Parameters
+    ----------
+    fixed
+        Like --reference, and the strokes are on that grid, too: as supple view --fixed saves them.
+    """
+
+    fixed: Annotated[str | None, Parameter(group=OUTPUT, metavar="FILE")] = None
+
+    @property
+    def onto(self) -> str | None:
+        """The image whose grid the output has; None if not given."""
+        if self.fixed is not None and self.reference is not None:
+            raise SuppleError("--fixed and --reference name the same grid: leave --reference out")
+        return self.fixed or self.reference
 
 
 @dataclass(slots=True)

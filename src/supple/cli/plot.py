@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal
 from cyclopts import Parameter
 
 from supple.cli.console import told, warn_of_software
-from supple.cli.options import RUNNING, WRITING, RunOptions, VideoOptions, VolumeArguments, parse_integer, read, text
+from supple.cli.options import RUNNING, WRITING, FilterOptions, RunOptions, VolumeArguments, parse_integer, read, text
 from supple.cli.options_maps import MapOptions, Reference
 from supple.cli.options_strokes import StrokeOptions
 from supple.errors import counting
@@ -35,7 +35,7 @@ def plot(
     maps: MapOptions = MapOptions(),
     reference: Reference = None,
     volume: VolumeArguments = VolumeArguments(),
-    video: VideoOptions = VideoOptions(),
+    video: FilterOptions = FilterOptions(),
     options: RunOptions = RunOptions(),
 ) -> None:
     """Plot the deformation of a picture, a video or a volume.

@@ -12,9 +12,9 @@ from cyclopts import Group, Parameter
 
 from supple.cli.console import STREAM, current, naming, say_convention, told, warn_of_software
 from supple.cli.options import (
+    FilterOptions,
     RunOptions,
     Texts,
-    VideoOptions,
     VolumeArguments,
     number,
     options_of,
@@ -25,18 +25,19 @@ from supple.cli.options import (
     read,
     whole,
 )
-from supple.cli.options_maps import MapOptions, Reference
+from supple.cli.options_maps import GridArguments, MapOptions, Reference
 from supple.cli.options_strokes import Edits, StrokeOptions
 from supple.engine.devices import workers
 from supple.errors import SuppleError, spelling
 
 if TYPE_CHECKING:
     from supple.deformation import Deformation
+    from supple.files.options import GridOptions
     from supple.files.options import VolumeOptions as Reading
     from supple.files.renders import MeshFile, RenderOptions
     from supple.render.box import Clip, Plane
     from supple.render.camera import Camera
-    from supple.space.geometry import Geometry
+    from supple.space.geometry import Geometry, Grid
     from supple.strokes import Fit
 
 CAMERA = Group("Camera", sort_key=2)
@@ -302,9 +303,9 @@ def points(
     refer_to: Annotated[str | None, Parameter(metavar="SERIES")] = None,
     strokes: StrokeOptions = StrokeOptions(),
     maps: MapOptions = MapOptions(),
-    reference: Reference = None,
+    output: GridArguments = GridArguments(),
     volume: VolumeArguments = VolumeArguments(),
-    video: VideoOptions = VideoOptions(),
+    video: FilterOptions = FilterOptions(),
     options: RunOptions = RunOptions(),
 ) -> None:
     """Move landmarks, a mesh or contours by a deformation: as what they mark moves, from the input to the output.
@@ -322,26 +323,22 @@ def points(
         File to write, of the same kind.
     on
         The volume, picture or video that is deformed; voxels and pixels of points are its own.
-    reference
-        The image on whose grid the result of the maps is written, such as the fixed one of a registration: points of
-        the output in voxels are its own.
     refer_to
         The DICOM series that a moved structure set refers to, such as the bent one: a folder, or one of its slices.
     """
     console = options.start(source)
     from supple.cli.jobs import piped
-    from supple.files.clips import refuse_encoding
     from supple.files.landmarks import move_points
 
     if options.json and target == STREAM:
         raise SuppleError("--json writes to standard output, and so does -: leave one out")
-    refuse_encoding(video.to_clip(), target, "none")
+    grid = output.to_grid()
     reading = volume.to_reading(strokes=strokes.bends)
     edits = strokes.read(
-        maps, reading, console.arguments, on, reference=reference, frames=video.frames(on), points=True, back=True
-    )
-    deformation, geometry = _deformation(on, edits, reading, video, strokes.to_fit(), source)
-    seen = None if reference is None else edits.maps.output(deformation.grid)
+        maps, reading, console.arguments, on,
+        reference=output.reference, frames=video.frames(on), empty=grid is not None, points=True, back=True,
+    )  # fmt: skip
+    deformation, geometry, seen = _deformation(on, edits, reading, video, strokes.to_fit(), source, grid)
     with piped((source, target), console, ".csv") as (read, written):
         moved = move_points(
             read, written, deformation, geometry, reference=seen,
@@ -362,35 +359,36 @@ def points(
 
 
 def _deformation(
-    on: str, edits: Edits, reading: Reading, video: VideoOptions, fit: Fit | None, points: str
-) -> tuple[Deformation, Geometry | None]:
-    """Return the deformation of a volume, a picture or a clip by strokes and maps, and a volume's geometry or None."""
+    on: str, edits: Edits, reading: Reading, video: FilterOptions, fit: Fit | None, of: str, grid: GridOptions | None
+) -> tuple[Deformation, Geometry | None, Grid | None]:
+    """Return the deformation of a file by strokes and maps; a volume's geometry; and the output's grid, if given."""
     from supple.deformation import Deformation
     from supple.errors import argument
     from supple.files.clips import deformation_of as on_clip
-    from supple.files.clips import open_clip
+    from supple.files.clips import open_clip, refuse_maps
+    from supple.files.grids import output_grid
     from supple.files.jobs import Job, refuse_places
     from supple.files.landmarks import warn_of_frame
-    from supple.files.options import GridOptions
     from supple.files.volumes import deformation_of as on_volume
     from supple.strokes import fit_recipe
 
     recipe, elements = edits.recipe, edits.maps
     moving = Path(on).with_suffix(".mp4") if recipe.strokes and recipe.strokes[0].ndim == 3 else on
-    job = Job(
-        on, moving, recipe, volume=reading, fit=fit, clip=video.to_clip(),
-        grid=None if elements.reference is None else GridOptions(elements.reference),
-    )  # fmt: skip
+    job = Job(on, moving, recipe, volume=reading, fit=fit, clip=video.to_clip(), grid=grid)
     job = elements.placed(current(), job)
     medium = job.medium
     if medium.grid is not None and medium.grid.ndim == 3:
         volume = medium.outline
-        warn_of_frame(points, volume)
-        return on_volume(job, volume), volume.geometry
+        warn_of_frame(of, volume)
+        seen = None if grid is None else output_grid(grid, volume.grid)
+        return on_volume(job, volume), volume.geometry, seen
     if reading.world:
         raise SuppleError(f"{argument('world')} is for volumes, and {on} is none: leave it out")
     refuse_places(recipe, on)
     if (own := medium.grid) is None:
+        if grid is not None:
+            refuse_maps(on)
         with open_clip(on, rate=job.clip.rate) as clip:
-            return on_clip(job, clip), None
-    return Deformation.from_recipe(fit_recipe(recipe, own.sizes, fit, on), own, maps=job.maps), None
+            return on_clip(job, clip), None, None
+    made = Deformation.from_recipe(fit_recipe(recipe, own.sizes, fit, on), own, maps=job.maps)
+    return made, None, None if grid is None else output_grid(grid, made.output)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import os
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
@@ -60,7 +61,7 @@ class Field:
         If an argument is invalid, or the values hold NaN or infinity.
     """
 
-    values: Array
+    values: Array = field(repr=False)
     grid: Grid
     interpolation: Interpolation = field(default="linear")
     beyond: Beyond = field(default="zero")
@@ -349,8 +350,8 @@ class Inverted:
     """
 
     field: Field
-    error: npt.NDArray[np.float32]
-    status: npt.NDArray[np.uint8]
+    error: npt.NDArray[np.float32] = dataclasses.field(repr=False)
+    status: npt.NDArray[np.uint8] = dataclasses.field(repr=False)
 
     @property
     def counts(self) -> dict[str, int]:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from supple.engine.work import Array, Tell
-from supple.errors import SuppleError, argument, shown
+from supple.errors import SuppleError, argument, current_spelling, shown, spelling
 from supple.fields import Field, Map, Placed, check_axes, own_grid, read_maps, told, write_maps
 from supple.files.grids import reference_grid
 from supple.files.jobs import Job
@@ -137,10 +137,10 @@ def convention_out(target: PathLike, to: str | None, otherwise: str | None) -> t
         return to, "as asked"
     if otherwise is not None:
         return otherwise, "as all were read"
-    try:
+    how = current_spelling()
+    named = replace(how, argument=lambda name, value: how.argument("to" if name == "convention" else name, value))
+    with spelling(named):
         return transforms.convention_of(target), f"from its suffix {suffix_of(target)}"
-    except SuppleError as error:
-        raise SuppleError(f"{error} (--to NAME)") from None
 
 
 def only_field(read: MapFile) -> Field:

@@ -286,7 +286,8 @@ def _warn_of_gaps(volume: Volume, filter: str) -> None:
         return
     gaps = sum(int(np.count_nonzero(~np.isfinite(slab))) for slab in volume.samples)
     if gaps:
-        text = f"{gaps} voxels of {volume.name} are NaN or infinite, and so is each voxel that is interpolated from "
+        some, be = ("1 voxel", "is") if gaps == 1 else (f"{gaps} voxels", "are")
+        text = f"{some} of {volume.name} {be} NaN or infinite, and so is each voxel that is interpolated from "
         text += 'them: filter "nearest" keeps them as they are, and "linear" spreads them least'
         warn(text, GapWarning)
 

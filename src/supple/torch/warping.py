@@ -87,6 +87,8 @@ def warp(
     given, shape, batch = items(deformation, {"at": at, "by": by, "radius": radius})
     _check(tensor, shape, len(given) if batch else None)
     axes = len(shape)
+    if tensor.is_meta:
+        refuse("tensor", "one with values", told="a tensor of the device meta, which has none")
     sampling = Sampling.of(sampling, options, axes)
     for name in ("linear_light", "time_filter"):
         if getattr(sampling, name):

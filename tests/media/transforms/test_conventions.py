@@ -125,7 +125,7 @@ REFUSED: list[tuple[str, Callable[[Path], object], str | None, list[str]]] = [
     ("a.mha", lambda p: sitk.WriteImage(sitk.Image([4] * 3, sitk.sitkUInt8), str(p)), None, ["one value"]),
     ("a.nrrd", lambda p: sitk.WriteImage(sitk.Image([4] * 3, sitk.sitkVectorUInt8, 3), str(p)), None, ["uint8"]),
     ("a.mha", lambda p: sitk.WriteImage(sitk.Image([4] * 3, sitk.sitkVectorFloat32, 2), str(p)), None, ["picture"]),
-    ("a.foo", lambda p: p.write_bytes(b"x"), None, ["the suffix .foo", "give the convention"]),
+    ("a.foo", lambda p: p.write_bytes(b"x"), None, ["the suffix .foo", "give convention"]),
     ("a.foo", lambda p: p.write_bytes(b"x"), "itk", ["the suffix .foo"]),
     ("a", lambda p: p.write_bytes(b"x"), None, ["without suffix"]),
     ("a.npy", lambda p: np.save(p, NOISE[0, ..., :2]), None, ["positions", "give convention='opencv'"]),

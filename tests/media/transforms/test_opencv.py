@@ -110,7 +110,7 @@ def test_what_is_no_map_is_refused(tmp_path: Path) -> None:
     refused("b.npy", r"complex64 of shape \(37, 53, 2\): give real", np.dstack([X, Y]).astype(np.complex64))
     refused("c.npy", r"shape \(37, 53, 3\)", np.dstack([X, X, Y]))
     refused("d.npy", "two rows or of two planes", np.zeros((2, 5, 2)))
-    refused("e.npy", "1 of its 1961 positions are NaN or infinite", np.dstack([holes, Y]))
+    refused("e.npy", "1 of its 1961 positions is NaN or infinite", np.dstack([holes, Y]))
     refused("f.npy", "no array of NumPy's", np.array([{}], object))
     refused("g.npz", "holds left, right, which do not tell", left=X, right=Y)
     refused("h.npz", r"\(37, 53\) and float32 of shape \(36, 53\)", map1=X, map2=Y[1:])

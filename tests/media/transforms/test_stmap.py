@@ -145,7 +145,7 @@ def test_what_is_no_stmap_is_refused(tmp_path: Path, capfd: pytest.CaptureFixtur
         ("d.exr", "its channels Y hold no pair"),
         ("e.exr", "more than one pair"),
         ("f.exr", "R and G are of uint32: write floats"),
-        ("g.exr", "1 of its 432 positions are NaN"),
+        ("g.exr", "1 of its 432 positions is NaN"),
         ("h.exr", "its opacity changes"),
         ("i.exr", "cut short"),
         ("j.exr", "does not begin as an EXR"),

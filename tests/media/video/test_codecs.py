@@ -242,18 +242,19 @@ def test_encoders_are_silent(tmp_path):
 
 
 @pytest.mark.parametrize("lost", [False, True])
-def test_depth_is_said_to_be_lost_if_a_frame_has_it(tmp_path, lost):
+@pytest.mark.parametrize(("target", "bits", "options"), [("b.mkv", 10, {"codec": "h264"}), ("b.gif", 8, {})])
+def test_depth_is_said_to_be_lost_if_a_frame_has_it(tmp_path, lost, target, bits, options):
     with av.open(str(tmp_path / "a.mkv"), "w") as out:
         film = out.add_stream("ffv1", rate=25)
         film.width, film.height, film.pix_fmt = 64, 48, "yuv422p12le"
         for k in range(3):
             frame = av.VideoFrame(64, 48, "yuv422p12le")
             for plane in frame.planes:
-                values = 4 * np.arange(plane.buffer_size // 2) % 4000 + (lost and k == 1)
+                values = 16 * np.arange(plane.buffer_size // 2) % 4000 + (lost and k == 1)
                 plane.update(values.astype("<u2").tobytes())
             frame.pts = k
             out.mux(film.encode(frame))
         out.mux(film.encode(None))
     with warnings.catch_warnings(record=True, action="always") as caught:
-        copy(tmp_path / "a.mkv", tmp_path / "b.mkv", codec="h264")
-    assert ["loses depth (12 to 10 bits)" in str(each.message) for each in caught] == [True] * lost
+        copy(tmp_path / "a.mkv", tmp_path / target, **options)
+    assert [f"loses depth (12 to {bits} bits)" in str(each.message) for each in caught] == [True] * lost

@@ -62,7 +62,7 @@ def check(path: PathLike, form: Format, array: Array, meaning: str, extra: tuple
         (meaning == "lab" and form is not TIFF, "holds no Lab colours", "write a TIFF"),
         (0 in extra and form is not TIFF, "holds no channels of data beside the colours", "write a TIFF"),
         (2 in extra and not form.alpha, "holds no transparency", "write PNG, TIFF, WebP or AVIF"),
-        (many and form is not TIFF, f"does not hold {channels} channels", "write a TIFF"),
+        (many and form is not TIFF, f"does not hold {channels} channel{'s' * (channels > 1)}", "write a TIFF"),
         (max(array.shape[:2]) > form.limit, f"ends at {form.limit} pixels on a side, and the image has {size}", other),
     )
     for wrong, what, advice in refusals:

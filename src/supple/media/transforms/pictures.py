@@ -43,7 +43,8 @@ def displacements(path: PathLike, x: Array, y: Array, first: tuple[int, int] = (
     rows = np.arange(first[1], first[1] + height, dtype=np.float64)[:, None]
     np.subtract(y, rows, out=values[..., 1], casting="same_kind")
     if bad := np.count_nonzero(~np.isfinite(values).all(axis=-1)):
-        raise unreadable(path, f"{bad} of its {height * width} positions are NaN or infinite", "fill them first")
+        be = "is" if bad == 1 else "are"
+        raise unreadable(path, f"{bad} of its {height * width} positions {be} NaN or infinite", "fill them first")
     return Displacements(values, Grid((height, width), origin=first), beyond="edge")
 
 

@@ -81,8 +81,13 @@ class Clip(FrameSource):
         except BaseException:
             self.source.close()
             raise
+        self._told = counted.count
         if counted.damaged and count is None:
-            how_much = f"{self._lost(counted.count)}: " if counted.missing else ""
+            try:
+                deque(self.frames_from(self.count - 1), 0)
+            except CountError as cut:  # a packet that is not whole may be no frame
+                self.count = self._told = cut.found
+            how_much = f"{self._lost(self._told)}: " if counted.missing else ""
             what = f"is damaged or cut short: {how_much}what can be decoded of it is used"
             warn(f"{self.name} {what}", ClipWarning)
 
@@ -219,7 +224,7 @@ class Clip(FrameSource):
             raise unreadable(self.path, "no frame of it can be decoded", _COPY)
         if found != self.count:
             raise CountError(found)
-        lost = found < self.survey.count
+        lost = found < self._told
         if bad and (lost or not self.survey.damaged):
             how_much = f"{self._lost(found)}: " if lost else ""
             what = f"has {bad} damaged frame{'s' * (bad > 1)}: {how_much}what can be decoded is used"

@@ -119,6 +119,11 @@ class Sink:
     def _frame(self, arrays: Sequence[Array]) -> av.VideoFrame:
         video, chosen = self._video, self._plan.match
         shape, colour = (video.height, video.width), self._colour
+        if self._plan.depth:
+            cut = (1 << video.form.kind.bits - chosen.form.kind.bits) - 1
+            if any((each & cut).any() for each in arrays):
+                self._plan.warn(self._plan.depth)
+                self._plan.depth = ""
         if self._plan.encoder.name == "gif":
             opacity = arrays[0][..., -1]
             half = video.layout.groups[0].alpha and not self._halved
@@ -129,11 +134,6 @@ class Sink:
         if chosen.opacity and (arrays[0][..., -1] < video.layout.white).any():
             self._plan.warn("loses opacity")
             self._plan.match = chosen = replace(chosen, opacity=False)
-        if self._plan.depth:
-            cut = (1 << video.form.kind.bits - chosen.form.kind.bits) - 1
-            if any((each & cut).any() for each in arrays):
-                self._plan.warn(self._plan.depth)
-                self._plan.depth = ""
         if chosen.same:
             frame = pack(arrays, chosen.form, self._blank)
             chosen.colour.mark(frame)

@@ -148,7 +148,7 @@ class WritePlan:
             if pixel_format not in (None, "pal8"):
                 raise unwritable(target, f"gif does not take the pixel format {pixel_format!r}", "use pal8")
             rgba = Form("pal8", Kind("rgb", (1, 1), 8, True, False), (), np.dtype(np.uint8))
-            self.match = Match(rgba, Colour(), False)
+            self.match = Match(rgba, Colour(), False, _depths(video.form.kind, rgba.kind))
         else:
             try:
                 self.match = self._matched(pixel_format)
@@ -520,9 +520,11 @@ def _losses(a: Kind, b: Kind, exact: bool) -> list[str]:
         words.append("exact values (to RGB)")
     if exact and a.family == "rgb" and b.family == "yuv":
         words.append("exact values (to YUV)")
-    if _depth(b) < _depth(a):
-        words.append(f"depth ({a.bits}{' real' if a.real else ''} to {b.bits} bits)")
-    return words
+    return words + _depths(a, b)
+
+
+def _depths(a: Kind, b: Kind) -> list[str]:
+    return [f"depth ({a.bits}{' real' if a.real else ''} to {b.bits} bits)"] if _depth(b) < _depth(a) else []
 
 
 def _pictured(kind: Kind, colour: Colour) -> bool:

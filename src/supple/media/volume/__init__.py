@@ -121,7 +121,8 @@ def check_target(
     if suffix in derived.SUFFIXES and like is not None and like.format == "DICOM":
         derived.check(path, like, force=force)
         return
-    what, advice = "is no format that volumes are written in", f"use {', '.join(SUFFIXES_OUT)}"
+    what = "is no format that volumes are written in"
+    advice = f"use {', '.join(SUFFIXES_OUT)}; supple render and supple plot draw pictures"
     if suffix == ".dcm":  # a source in DICOM was checked above
         what = "is for what is derived from DICOM, and the source is of another format"
     elif FORMATS.get(suffix) == "DICOM":
