@@ -103,6 +103,13 @@ def test_points_go_where_the_picture_shows_them(run: Run, here: Path) -> None:
     moved = np.loadtxt("moved.csv", delimiter=",", skiprows=1, usecols=(0, 1))
     expected = supple.Deformation((40, 48)).straighten(rotate=7, keystone=CORNERS).forward([(20, 16), (30, 25)])
     np.testing.assert_allclose(moved, expected, atol=1e-5)
+    part = (*options, "--crop", "3,2,20,20")  # whose pixels are counted from its own first one
+    assert run("points", "points.csv", "part.csv", "--on", "in.png", *part)[0] == 0
+    seen = np.loadtxt("part.csv", delimiter=",", skiprows=1, usecols=(0, 1))
+    np.testing.assert_allclose(seen, moved - (3, 2), atol=1e-6)
+    assert run("points", "part.csv", "back.csv", "--on", "in.png", *part, "--inverse")[0] == 0
+    back = np.loadtxt("back.csv", delimiter=",", skiprows=1, usecols=(0, 1))
+    np.testing.assert_allclose(back, [(20, 16), (30, 25)], atol=1e-5)
 
 
 @pytest.mark.parametrize(
