@@ -47,7 +47,8 @@ PYTHON = Spelling(lambda name, value: name if value is _ANY else f"{name}={value
 JSON = Spelling(lambda name, value: name if value is _ANY else f'"{name}": {value!r}', "null")
 _face = PYTHON  # the default of all threads
 _here: ContextVar[Spelling | None] = ContextVar("spelling", default=None)
-_starter: ContextVar[Any] = ContextVar("starter", default=None)  # the frame that started this thread
+_Line = tuple[str, int, str, dict[Any, Any]]
+_starter: ContextVar[_Line | None] = ContextVar("starter", default=None)  # what started this thread
 
 
 def current_spelling() -> Spelling:
@@ -178,19 +179,27 @@ class GapWarning(UserWarning):
 def aside(function: Callable[..., Any]) -> Callable[..., Any]:
     """Return a function for another thread: it runs in a copy of this context, and warnings name this caller's line."""
     context = copy_context()
-    context.run(_starter.set, sys._getframe())
+    context.run(_starter.set, _caller())
     return partial(context.run, function)
 
 
 def warn(text: str, category: type[Warning]) -> None:
     """Warn, with the line of the first caller outside Supple."""
-    frame = _starter.get() or sys._getframe()
+    file, line, name, seen = _caller()
+    warnings.warn_explicit(text, category, file, line, name, seen)
+
+
+def _caller() -> _Line:
+    """Return the file, the line, the module, and the module's warnings of the first caller outside Supple."""
+    if (known := _starter.get()) is not None:
+        return known
+    frame = sys._getframe()
     # These call what Supple decorates or defines: properties that are cached, contexts, and functions with gradients.
     own = ("supple", "contextlib", "functools", "torch")
-    while frame.f_back is not None and frame.f_globals.get("__name__", "").partition(".")[0] in own:
+    while frame.f_back is not None and (frame.f_globals.get("__name__") or "").partition(".")[0] in own:
         frame = frame.f_back
-    name, seen = frame.f_globals.get("__name__", "<string>"), frame.f_globals.setdefault("__warningregistry__", {})
-    warnings.warn_explicit(text, category, frame.f_code.co_filename, frame.f_lineno, name, seen)
+    name, seen = frame.f_globals.get("__name__") or "<string>", frame.f_globals.setdefault("__warningregistry__", {})
+    return frame.f_code.co_filename, frame.f_lineno, name, seen
 
 
 def said(error: BaseException) -> str:

@@ -179,7 +179,7 @@ def test_faces_of_many_pictures(run: Run, here: Path) -> None:
          "--grab must be a landmark and +DX,DY"),
         (("warp", "in/a.png", "x.png", "--grab", "10%,10%:3,4", "--radius", "9"), "--grab must be X,Y:X,Y"),
         (("warp", "in/a.png", "x.png", *GRAB[:2], "--radius", "q%"), "--radius must be a number of pixels"),
-        (("warp", "in/a.png", "x.png", *GRAB[:2], "--radius", "-3%"), "--radius must be a number above 0 (from 1e-30"),
+        (("warp", "in/a.png", "x.png", *GRAB[:2], "--radius", "-3%"), "or a percentage, found '-3%'"),
         (("warp", "in/a.png", "x.png", *GRAB, "--landmarks", "marks"), "--landmarks is for landmarks of strokes"),
         (("warp", "in/a.png", "x.png", *GRAB, "--percent-of", "a:b"), "--percent-of is for percentages of strokes"),
         (("warp", "in/a.png", "x.png", "--grab", "left_eye:chin", "--radius", "9", "--percent-of", "a:b", "--landmarks",

@@ -51,7 +51,8 @@ def naming(**others: str) -> Spelling:
     known = _OPTIONS | others
 
     def option(name: str, value: object) -> str:
-        name = name.partition("[")[0] if typed(name) else name  # without the index of one of several numbers
+        if "[" in name and typed(name):  # the index of a number does not say which of the text it is
+            return f"each number of {known[name.partition('[')[0]]}"
         if name not in known or value is Spelling.ANY or value is True:
             return known.get(name, name)
         if value is False:
@@ -59,9 +60,14 @@ def naming(**others: str) -> Spelling:
         return f"{known[name]} {'none' if value is None else value}"
 
     def typed(name: str) -> str:
-        wanted, console = known.get(name.partition("[")[0], " "), _current.get(None)
-        given = re.findall(f"(?:^|\0){wanted}[\0=]([^\0]*)", "\0".join(console.arguments if console else ()))
-        return repr(given[0]) if len(given) == 1 else ""
+        option, console = known.get(name.partition("[")[0]), _current.get(None)
+        if option is None or console is None:
+            return ""
+        from supple.space.checks import value_shown
+
+        wanted = option.replace("-", "[-_]")
+        given = re.findall(f"(?:^|\0){wanted}[\0=]([^\0]*)", "\0".join(console.arguments))
+        return value_shown(given[0]) if len(given) == 1 else ""
 
     return Spelling(option, "none", typed=typed)
 

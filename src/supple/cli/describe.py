@@ -13,10 +13,9 @@ from typing import Any
 from supple.errors import SuppleError, listing, shown
 from supple.files.clips import displayed
 from supple.folding.resolved import described, spelled
-from supple.media.medium import ONE_FILE
 from supple.media.numbering import is_sequence
 from supple.media.pictures import SUFFIXES as PICTURES
-from supple.media.suffixes import CLIPS, suffix_of
+from supple.media.suffixes import CLIPS, FORMATS, suffix_of
 from supple.media.timecode import Numbering
 from supple.space.freezing import Freeze
 from supple.strokes import Recipe, Stroke, spoken
@@ -60,12 +59,16 @@ def describe(name: str, how: Mapping[str, Any]) -> tuple[dict[str, Any], str]:
             with sequence.open_clip(name) as clip:
                 facts = clip.info()
         except SuppleError as refused:
-            kinds = {"pictures": PICTURES, "videos": CLIPS, "volumes": ONE_FILE} if os.path.isdir(name) else {}
-            names = sorted(each for each in os.listdir(name) if each[0] != ".") if kinds else []
+            kinds = {"pictures": PICTURES, "videos": CLIPS, "volumes": FORMATS} if os.path.isdir(name) else {}
+            names = (
+                sorted(each.name for each in os.scandir(name) if each.name[0] != "." and each.is_file())
+                if kinds
+                else []
+            )
             held = {kind: [each for each in names if suffix_of(each) in kinds[kind]] for kind in kinds}
             if not any(held.values()):
                 raise
-            lines = {kind: f"{len(some)}: {listing(some, 5)}" for kind, some in held.items() if some}
+            lines = {kind: f"{len(some)}: {listing([*map(shown, some)], 5)}" for kind, some in held.items() if some}
             lines |= {"as a clip": f"no: {refused}"} if held["pictures"] else {}
             return {"file": name, "kind": "folder", **held}, listed(name, {"format": "folder", **lines})
         return {"file": name, "kind": "sequence", **facts}, _picture(name, facts)
@@ -183,7 +186,9 @@ def _picture(name: str, facts: Mapping[str, Any]) -> str:
     }
     if "layers" in facts:
         boxes = ("{2} x {3} from ({0}, {1})".format(*facts[f"{key}_window"]) for key in ("data", "display"))
-        lines["layers"] = f"{listing(facts['layers'], 24)}; {facts['compression']} compression"
+        lines["layers"] = (
+            f"{listing([*map(shown, facts['layers'])], 24)}; compression {' and '.join(facts['compression'])}"
+        )
         lines["windows"] = "data {}, display {}".format(*boxes)
     return listed(name, lines)
 

@@ -104,6 +104,8 @@ def read(how: Callable[[str, str], object], metavar: str, **more: Any) -> Parame
     """Return an option that is parsed by ``how(name, text)``."""
 
     def convert(kind: object, tokens: Sequence[Token]) -> object:
+        if len(tokens) > 1:  # with a tuple as its default, cyclopts takes several
+            raise SuppleError(f"{tokens[0].keyword} is given {len(tokens)} times: give it once")
         return how(tokens[0].keyword or "", tokens[0].value)
 
     return Parameter(metavar=metavar, allow_leading_hyphen=True, converter=convert, n_tokens=1, **more)

@@ -451,10 +451,16 @@ class StrokeOptions:
 
             return None if path == "none" else read_matte(path, width=self.freeze_width)
 
+        def radius(option: str, text: str) -> float:
+            width = places.length(option, text, _LENGTH)
+            if width <= 0:  # checked here, as the message for a percentage would be in pixels
+                raise SuppleError(f"{option} must be {_LENGTH}, found {text!r}")
+            return width
+
         count = len(found)
         reaches: list[float | None] = _spread("--reach", self.reach, count, _reach, REACH)
         brushes = zip(
-            _spread("--radius", self.radius, count, partial(places.length, wanted=_LENGTH), 1.0),
+            _spread("--radius", self.radius, count, radius, 1.0),  # missed below, when strokes have been read
             _spread("--poisson", self.poisson, count, _numbers("a number up to 0.5, or -inf"), None),
             reaches,
             _spread("--time-radius", self.time_radius, count, _numbers("a number of frames above 0"), None),

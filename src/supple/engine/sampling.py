@@ -222,7 +222,8 @@ def warn_of(
         if inverted:
             told[0] += ": where folds are mapped to, the inverse is one of several points"
         if certificate.folded:
-            told.append(f"{certificate.folded} of the points found lie in a part that is turned over")
+            lie = "lies" if certificate.folded == 1 else "lie"
+            told.append(f"{certificate.folded} of the points found {lie} in a part that is turned over")
         if certificate.unknown:
             told.append(f"for {certificate.unknown} of them there is a guess, as no solution was found")
         where = "the statuses of supple invert show" if inverted else "supple check shows"

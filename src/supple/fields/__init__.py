@@ -571,13 +571,13 @@ def sampled(field: Field) -> Array:
     return checks.values_at([Placed(field).packed(np.eye(field.ndim + 1))], own_grid(field))[0]
 
 
-def check_axes(maps: Iterable[Placed], ndim: int, name: str) -> None:
-    """Raise SuppleError for a map of another number of axes than an image, ``name``."""
+def check_axes(maps: Iterable[Placed], ndim: int, name: str, is_a: str = "") -> None:
+    """Raise SuppleError for a map of another number of axes than ``name``, a picture or a volume unless it ``is_a``."""
     for each in maps:
         if (n := each.map.ndim) != ndim:
             kinds = ("picture", "volume")[:: 1 if n == 2 else -1]
-            text = f"{each.told} is for {kinds[0]}s, with {n} axes, and {name} is a {kinds[1]}: give one of {ndim} axes"
-            raise SuppleError(text)
+            other = f"{name} is {is_a or f'a {kinds[1]}'}"
+            raise SuppleError(f"{each.told} is for {kinds[0]}s, with {n} axes, and {other}: give two with as many axes")
 
 
 def check_path(

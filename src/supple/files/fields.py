@@ -251,7 +251,7 @@ def check_file(
     check_images(field.ndim, map=map)
     other = None if inverse is None else read_file(inverse, convention, source=own_grid(field))
     if other is not None:
-        check_axes([Placed(only_field(other), name=shown(other.path))], field.ndim, shown(source))
+        check_axes([Placed(only_field(other), name=shown(other.path))], field.ndim, shown(source), f"of {field.ndim}")
     folded, logarithms = field.folded_cells(), field.log_jacobian()
     distances = None if other is None else field.distances(only_field(other))
     report = field.reported(folded, logarithms, distances)

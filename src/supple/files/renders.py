@@ -16,6 +16,7 @@ from supple.arrays import warp_array
 from supple.engine.sampling import Sampling, warn_of
 from supple.engine.work import Array, Tell
 from supple.errors import OutsideWarning, SuppleError, VolumeWarning, argument, shown, warn
+from supple.fields import folds_of, only_name
 from supple.files.grids import grid_on
 from supple.files.jobs import Job
 from supple.files.landmarks import convention_of, warn_of_frame
@@ -300,7 +301,8 @@ def scene_of(volume: Volume, job: Job, known: RenderOptions) -> Scene:
         mixed = "nearest" if labels else "linear"
         sampling = Sampling(filter=mixed, outside="constant", fill=fill)
         samples, certificate = warp_array(samples, deformation.space_on(grid, volume.grid), sampling)
-        warn_of(certificate, sampling.tolerance)
+        maps = deformation.maps
+        warn_of(certificate, sampling.tolerance, folds=folds_of(maps), field_name=only_name(maps))
         onto, own = grid or volume.grid, deformation.grid
         places = [deformation.forward(own.indices(volume.grid.positions(m.points))) for m in meshes]
         meshes = tuple(

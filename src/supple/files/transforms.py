@@ -236,8 +236,9 @@ def write_field(work: Work, runner: Runner, tell: Tell, maps: Sequence[Placed]) 
             done += there
     pull, push = certificates
     warn_of(pull, tolerance, folds=folds_of(maps), field_name=only_name(maps))
-    solved = f"{only_name(maps)} folds, as it is solved for {shown(target.address)}"
-    warn_of(push, tolerance, folds=solved if push.folded or push.unknown else "")
+    solved = folds_of(replace(each, inverse=not each.inverse) for each in maps)
+    solved = solved and f"{solved}, as it is solved for {shown(target.address)}"
+    warn_of(push, tolerance, folds=solved, field_name=only_name(maps))
     target.note(
         {**{way: _told(one, tolerance) for way, one in zip(_WAYS, certificates, strict=True)}, "chunks": stored}
     )

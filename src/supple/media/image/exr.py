@@ -208,9 +208,9 @@ def info(path: PathLike) -> dict[str, Any]:
     """Return the facts on the channels of all parts, their compression, and the windows: x, y, width and height."""
     head, names = head_only(path)
     boxes = {"data_window": around(head.windows), "display_window": head.display}
-    packed = {each["compression"].name.removesuffix("_COMPRESSION") for each in head.attributes}
+    packed = sorted({each["compression"].name.removesuffix("_COMPRESSION") for each in head.attributes})
     told = {name: [x0, y0, x1 - x0, y1 - y0] for name, (x0, y0, x1, y1) in boxes.items()}
-    return {"layers": [name for _, name in names], "compression": " and ".join(sorted(packed)), **told}
+    return {"layers": [name for _, name in names], "compression": packed, **told}
 
 
 def _of_headers(headers: tuple[dict[str, Any], ...]) -> Exr:
