@@ -103,6 +103,12 @@ def test_points_go_where_the_picture_shows_them(run: Run, here: Path) -> None:
     moved = np.loadtxt("moved.csv", delimiter=",", skiprows=1, usecols=(0, 1))
     expected = supple.Deformation((40, 48)).straighten(rotate=7, keystone=CORNERS).forward([(20, 16), (30, 25)])
     np.testing.assert_allclose(moved, expected, atol=1e-5)
+    Path("corner.csv").write_text("x,y\n54,46\n")
+    padded = ("--rotate", "20", "--fit", "pad")  # 59 x 55 pixels
+    status, _, err = run("points", "corner.csv", "from.csv", "--on", "in.png", *padded, "--inverse")
+    assert (status, "outside" in err) == (0, False)
+    with_another = ("--rotate", "20", "--reference", "in.png")
+    assert "have each a grid" in run("points", "corner.csv", "x.csv", "--on", "in.png", *with_another)[2]
     part = (*options, "--crop", "3,2,20,20")  # whose pixels are counted from its own first one
     assert run("points", "points.csv", "part.csv", "--on", "in.png", *part)[0] == 0
     seen = np.loadtxt("part.csv", delimiter=",", skiprows=1, usecols=(0, 1))

@@ -148,13 +148,15 @@ def _advised(error: CycloptsError, app: App) -> str:
     text = str(error).strip().rstrip(".")
     wrong, _, meant = text.partition(" Did you mean")
     if isinstance(error, UnknownOptionError):
-        option = (error.token.keyword or error.token.value).partition("=")[0]
+        given = error.token.keyword or error.token.value
+        option = given.partition("=")[0]
         verbs = [usage.partition(" ")[0] for _, usage in _COMMANDS]
         having = [
             verb for verb in verbs if any(option in each.names for each in app[verb].assemble_argument_collection())
         ]
-        instead = _ELSEWHERE.get(option) or (having and f"It is an option of {', '.join(having)}")
-        return f"{wrong.rstrip('.')}. {instead}" if instead else text
+        instead = [f"It is an option of {', '.join(having)}"] if having else []
+        instead += [_ELSEWHERE[option]] if option in _ELSEWHERE else []
+        return ". ".join([wrong.rstrip(".").replace(given, option), *instead]) if instead else text
     if isinstance(error, MissingArgumentError) and error.argument and error.command_chain:
         if not error.argument.name.startswith("--"):
             usage = next(usage for _, usage in _COMMANDS if usage.startswith(error.command_chain[0]))

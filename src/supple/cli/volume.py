@@ -366,7 +366,7 @@ def _deformation(
     from supple.errors import argument
     from supple.files.clips import deformation_of as on_clip
     from supple.files.clips import open_clip, refuse_maps
-    from supple.files.grids import output_grid
+    from supple.files.grids import check_straightened, output_grid
     from supple.files.jobs import Job, refuse_places
     from supple.files.landmarks import warn_of_frame
     from supple.files.volumes import deformation_of as on_volume
@@ -390,5 +390,8 @@ def _deformation(
             refuse_maps(on)
         with open_clip(on, rate=job.clip.rate) as clip:
             return on_clip(job, clip), None, None
-    made = Deformation.from_recipe(fit_recipe(recipe, own.sizes, fit, on), own, maps=job.maps)
+    fitted = fit_recipe(recipe, own.sizes, fit, on)
+    if fitted.straighten is not None:
+        check_straightened(grid)
+    made = Deformation.from_recipe(fitted, own, maps=job.maps)
     return made, None, None if grid is None else output_grid(grid, made.output)

@@ -6,7 +6,7 @@ import math
 import os
 from collections.abc import Sequence
 
-from supple.errors import SuppleError, VolumeWarning, shown, warn
+from supple.errors import SuppleError, VolumeWarning, argument, shown, warn
 from supple.fields import Placed, check_axes, check_path
 from supple.files.options import GridOptions, PathLike
 from supple.media.files import is_store
@@ -73,6 +73,12 @@ def warn_of_place(geometry: Geometry, name: str) -> None:
             f"{name} does not say where its voxels lie in space: its first one is taken to lie at (0, 0, 0), and its "
         )
         warn(f"{text}axes along those of LPS", VolumeWarning)
+
+
+def check_straightened(options: GridOptions | None) -> None:
+    """Raise SuppleError if a straightened picture shall have the grid of another image."""
+    if options is not None and options.reference is not None:
+        raise SuppleError(f"{argument('reference')} and a straightened picture have each a grid: leave one out")
 
 
 def grid_on(options: GridOptions | None, grid: Grid, name: str, maps: Sequence[Placed]) -> Grid | None:

@@ -134,7 +134,7 @@ def move_points(
     given = read.points[:, : deformation.ndim]
     within, told = _ways(deformation, geometry, known)
     counted = reference is not None and known == "index"  # indices refer to the output's own grid on one side
-    own, seen = deformation.grid, reference or deformation.grid
+    own, seen = deformation.grid, reference or deformation.output
     start = own.indices(seen.positions(given)) if counted and inverse else within(given)
     mapped = deformation.certified(start, inverse=inverse)
     end = mapped.points

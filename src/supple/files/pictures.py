@@ -17,7 +17,7 @@ from supple.engine.sampling import warn_of
 from supple.engine.work import Space, Tell
 from supple.errors import SuppleError, argument, shown, warn
 from supple.fields import folds_of, only_name
-from supple.files.grids import grid_on
+from supple.files.grids import check_straightened, grid_on
 from supple.files.jobs import Job, Warped
 from supple.files.options import PathLike
 from supple.folding.resolved import warn_of_still
@@ -71,8 +71,7 @@ def _warp(job: Job, tell: Tell, place: PathLike | None) -> Warped:
     deformation = Deformation.from_recipe(fitted, held, maps=maps, warn=False)
     result = own
     if straighten is not None:
-        if job.grid is not None and job.grid.reference is not None:
-            raise SuppleError(f"{argument('reference')} and a straightened picture have each a grid: leave one out")
+        check_straightened(job.grid)
         deformation = deformation.straighten(straighten, sizes=own.sizes)
         result = deformation.output
     regrid = grid_on(job.grid, result, name, maps) or (None if result == own else result)

@@ -72,7 +72,7 @@ def test_fields_of_spm_whose_header_other_programs_left_out(tmp_path: Path) -> N
         moves = announcing(tmp_path / "y.nii", code=code)
         np.testing.assert_allclose(Field.read(tmp_path / "y.nii", "spm-deformation").values, moves, atol=5e-6)
     announcing(tmp_path / "y.nii", code=0)
-    refused(Field.read, tmp_path / "y.nii", match="give convention afni, spm-deformation")
+    refused(Field.read, tmp_path / "y.nii", match="give convention=.NAME.: afni, spm-deformation")
 
 
 @pytest.mark.parametrize(

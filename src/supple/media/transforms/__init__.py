@@ -150,6 +150,8 @@ def _candidates(path: PathLike, verb: str) -> tuple[str, ...]:
     suffix = base.suffix_of(path, _SUFFIXES)
     refused = unreadable if verb == "read" else unwritable
     names = tuple(name for name, row in CONVENTIONS.items() if any(suffix in form.suffixes for form in row.forms))
+    if verb == "write" and suffix in PICTURES and suffix not in pictures.STMAP_OUT:
+        names = ()
     doubtful = suffix in _DOUBTFUL and (verb == "read" or suffix in pictures.STMAP_OUT)
     if (doubtful or not names) and verb == "read" and not os.path.exists(path):
         raise unreadable(path, "No such file or directory", "check the name and its rights")
@@ -162,13 +164,15 @@ def _candidates(path: PathLike, verb: str) -> tuple[str, ...]:
         raise refused(path, what, "name a file of a field or of an affine map")
     if not names:
         found = f"the suffix {shown(suffix)}" if suffix else "a name without suffix"
-        raise refused(path, f"{found} tells no convention", f"give {argument('convention')}, or another name")
+        raise refused(path, f"{found} tells no convention", f"give {argument('convention', 'NAME')}, or another name")
     return names
 
 
 def _only(path: PathLike, names: tuple[str, ...], what: str, verb: str) -> str:
     if len(names) > 1:
-        raise SuppleError(f"cannot {verb} {shown(path)}: {what}: give {argument('convention')} {', '.join(names)}")
+        raise SuppleError(
+            f"cannot {verb} {shown(path)}: {what}: give {argument('convention', 'NAME')}: {', '.join(names)}"
+        )
     return names[0]
 
 

@@ -78,15 +78,16 @@ class Clip(FrameSource):
             self.name, self.rate, self.base = shown(path), _rate(film, counted), film.time_base or Fraction(1, 1000)
             self._read_facts(film)
             self._look(first)
+            self._told = counted.count
+            if counted.damaged and count is None:
+                try:
+                    deque(self.frames_from(self.count - 1), 0)
+                except CountError as cut:  # a packet that is not whole may be no frame
+                    self.count = self._told = cut.found
         except BaseException:
             self.source.close()
             raise
-        self._told = counted.count
         if counted.damaged and count is None:
-            try:
-                deque(self.frames_from(self.count - 1), 0)
-            except CountError as cut:  # a packet that is not whole may be no frame
-                self.count = self._told = cut.found
             how_much = f"{self._lost(self._told)}: " if counted.missing else ""
             what = f"is damaged or cut short: {how_much}what can be decoded of it is used"
             warn(f"{self.name} {what}", ClipWarning)
