@@ -142,7 +142,7 @@ class TestWhatCannotBeWritten:
             (".png", noise("u1", 9, 9, 5), "PNG does not hold 5 channels: write a TIFF"),
             (".jpg", np.zeros((2, 65_501), "u1"), f"JPEG ends at 65500 {SIDE} 65501 x 2: write a TIFF"),
             (".exr", noise("u1", 9, 9, 3), "OpenEXR takes no uint8 values: write a TIFF"),
-            (".hdr", noise("f4", 9, 9), "Radiance does not hold 1 channels: write a TIFF"),
+            (".hdr", noise("f4", 9, 9), "Radiance does not hold 1 channel: write a TIFF"),
             (".bmp", noise("f4", 9, 9, 3), "BMP takes no float32 values: write a TIFF"),
             (".jp2", noise("u1", 9, 9, 4), "JPEG 2000 holds no transparency: write PNG, TIFF, WebP or AVIF"),
             (".png", np.zeros((0, 9), "u1"), "an image has shape (H, W) or (H, W, C), and not (0, 9)"),
