@@ -324,7 +324,8 @@ INLINE Solved<D, V> solved(const Chain& chain, const Axis* axes, const V* q, dou
             // The map varies over the last step: continue Newton's method to the end, or undo each stroke to the end.
             const double end = finest * least(1e-6, 1e-4 * tolerance);
             newton<D>(chain, axes, q, end, 20, found, STEEP * enough);
-            if (any(without(all, either(found.done, either(known.at.done, more.at.done))))) {
+            // A GPU solves the pixels beside a node that is not solved, and keeps its registers.
+            if (Masked<V>::lanes > 1 && any(without(all, either(found.done, either(known.at.done, more.at.done))))) {
                 Solution<D, V> anew;
                 undo<D>(chain, axes, q, end, anew);
                 anew.steps += found.steps;
