@@ -116,9 +116,12 @@ def test_strict_makes_warnings_errors(run: Run, medium: str) -> None:
     assert sorted(os.listdir()) == ["in.mkv", "in.png", "many"]
 
 
-@pytest.mark.parametrize(("medium", "module"), [("clip", supple.files.clips), ("volume", supple.files.volumes)])
+@pytest.mark.parametrize(
+    ("medium", "module", "name"),
+    [("clip", supple.files.clips, "warn_of"), ("volume", supple.files.volumes, "warn_of_maps")],
+)
 def test_strict_holds_for_warnings_after_the_last_frame(
-    run: Run, monkeypatch: pytest.MonkeyPatch, medium: str, module: ModuleType
+    run: Run, monkeypatch: pytest.MonkeyPatch, medium: str, module: ModuleType, name: str
 ) -> None:
     source, target, strokes = MEDIA[medium]
     Path(target).write_bytes(b"mine")
@@ -126,7 +129,7 @@ def test_strict_holds_for_warnings_after_the_last_frame(
     def warn_of(*_: object, **__: object) -> None:
         warnings.warn("the map may be off", ToleranceWarning, stacklevel=2)
 
-    monkeypatch.setattr(module, "warn_of", warn_of)
+    monkeypatch.setattr(module, name, warn_of)
     status, _, err = run("warp", source, target, *strokes[:-1], "flow", "--strict", "--force")
     assert status == 2
     assert err == f"supple: {source}: the map may be off (--strict: warnings are errors)\n"

@@ -304,6 +304,12 @@ INLINE Solved<D, V> solved(const Chain& chain, const Axis* axes, const V* q, dou
         for (int d = 0; d < 2; d++) made.smooth2[d] = choose(a.at.done, a.smooth2[d], b.smooth2[d]);
         return made;
     };
+    auto undo_others = [&](double tolerance) {  // of those that are not found
+        Solution<D, V> anew;
+        undo<D>(chain, axes, q, tolerance, anew);
+        anew.steps += found.steps;
+        found = choose(found.done, found, anew);
+    };
     found.done = without(all, all);
     Solved<D, V> known{found, {}, {}};
     // One step of a fourth of this length leaves an error of the order of its square.
@@ -312,12 +318,7 @@ INLINE Solved<D, V> solved(const Chain& chain, const Axis* axes, const V* q, dou
         known = merged(known, polished(known.at, enough / 4));
     if (any(without(all, known.at.done))) {
         if (guess != Guess::NONE) newton<D>(chain, axes, q, enough, 12, found, STEEP * enough);
-        if (any(without(all, found.done))) {
-            Solution<D, V> anew;
-            undo<D>(chain, axes, q, enough, anew);
-            anew.steps += found.steps;
-            found = choose(found.done, found, anew);
-        }
+        if (any(without(all, found.done))) undo_others(enough);
         Solved<D, V> more = polished(found, enough);
         more.at.done = both(more.at.done, found.done);
         if (any(without(all, either(known.at.done, more.at.done)))) {
@@ -325,12 +326,8 @@ INLINE Solved<D, V> solved(const Chain& chain, const Axis* axes, const V* q, dou
             const double end = finest * least(1e-6, 1e-4 * tolerance);
             newton<D>(chain, axes, q, end, 20, found, STEEP * enough);
             // A GPU solves the pixels beside a node that is not solved, and keeps its registers.
-            if (Masked<V>::lanes > 1 && any(without(all, either(found.done, either(known.at.done, more.at.done))))) {
-                Solution<D, V> anew;
-                undo<D>(chain, axes, q, end, anew);
-                anew.steps += found.steps;
-                found = choose(found.done, found, anew);
-            }
+            if (Masked<V>::lanes > 1 && any(without(all, either(found.done, either(known.at.done, more.at.done)))))
+                undo_others(end);
             Solved<D, V> last = polished(found, enough);
             last.at.done = found.done;
             more = merged(more, last);

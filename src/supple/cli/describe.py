@@ -59,18 +59,9 @@ def describe(name: str, how: Mapping[str, Any]) -> tuple[dict[str, Any], str]:
             with sequence.open_clip(name) as clip:
                 facts = clip.info()
         except SuppleError as refused:
-            kinds = {"pictures": PICTURES, "videos": CLIPS, "volumes": FORMATS} if os.path.isdir(name) else {}
-            names = (
-                sorted(each.name for each in os.scandir(name) if each.name[0] != "." and each.is_file())
-                if kinds
-                else []
-            )
-            held = {kind: [each for each in names if suffix_of(each) in kinds[kind]] for kind in kinds}
-            if not any(held.values()):
-                raise
-            lines = {kind: f"{len(some)}: {listing([*map(shown, some)], 5)}" for kind, some in held.items() if some}
-            lines |= {"as a clip": f"no: {refused}"} if held["pictures"] else {}
-            return {"file": name, "kind": "folder", **held}, listed(name, {"format": "folder", **lines})
+            if os.path.isdir(name) and (found := _folder(name, refused)) is not None:
+                return found
+            raise
         return {"file": name, "kind": "sequence", **facts}, _picture(name, facts)
     if suffix in CLIPS:
         return _described_video(name)
@@ -88,6 +79,18 @@ def describe(name: str, how: Mapping[str, Any]) -> tuple[dict[str, Any], str]:
     if facts["format"] in ("GIF", "PNG") and facts["pages"] != 1:
         return _described_video(name)
     return {"file": name, "kind": "image", **facts}, _picture(name, facts)
+
+
+def _folder(name: str, refused: SuppleError) -> tuple[dict[str, Any], str] | None:
+    """Return the facts on a folder that is ``refused`` as a clip, as `describe` does; None if it holds no media."""
+    kinds = {"pictures": PICTURES, "videos": CLIPS, "volumes": FORMATS}
+    names = sorted(each.name for each in os.scandir(name) if each.name[0] != "." and each.is_file())
+    held = {kind: [each for each in names if suffix_of(each) in suffixes] for kind, suffixes in kinds.items()}
+    if not any(held.values()):
+        return None
+    lines = {kind: f"{len(some)}: {listing([*map(shown, some)], 5)}" for kind, some in held.items() if some}
+    lines |= {"as a clip": f"no: {refused}"} if held["pictures"] else {}
+    return {"file": name, "kind": "folder", **held}, listed(name, {"format": "folder", **lines})
 
 
 def _stored(name: str) -> tuple[dict[str, Any], str]:

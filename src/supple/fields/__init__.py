@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from supple import _core
-from supple.engine.sampling import warn_of
+from supple.engine.sampling import Certificate, warn_of
 from supple.engine.work import Array
 from supple.errors import SuppleError, shown
 from supple.fields import checks
@@ -421,6 +421,11 @@ def folds_of(maps: Iterable[Placed]) -> str:
     return ", and ".join(told)
 
 
+def warn_of_maps(certificate: Certificate, tolerance: float, maps: Sequence[Placed], unit: str = "px") -> None:
+    """Warn as `supple.engine.sampling.warn_of` does, with the names of the fields among the maps."""
+    warn_of(certificate, tolerance, folds_of(maps), only_name(maps), unit)
+
+
 def read_maps(
     path: PathLike | Any, convention: str | None = None, *, source: Grid | None = None, reference: Grid | None = None
 ) -> tuple[Map, ...]:
@@ -532,7 +537,7 @@ def compose(maps: Sequence[Map | Placed], grid: Grid) -> Field:
     check_path(given, grid, "the grid of the result")
     parts = [placed.packed(np.eye(n + 1)) for placed in given]
     values, certificate = checks.values_at(parts, grid)
-    warn_of(certificate, 1.0, folds=folds_of(given), field_name=only_name(given))
+    warn_of_maps(certificate, 1.0, given)
     return Field(values, grid)
 
 

@@ -13,10 +13,9 @@ import numpy as np
 from supple.arrays import warp_picture
 from supple.deformation import Deformation
 from supple.engine.core import inverse_map
-from supple.engine.sampling import warn_of
 from supple.engine.work import Space, Tell
 from supple.errors import SuppleError, argument, shown, warn
-from supple.fields import folds_of, only_name
+from supple.fields import warn_of_maps
 from supple.files.grids import check_straightened, grid_on
 from supple.files.jobs import Job, Warped
 from supple.files.options import PathLike
@@ -107,7 +106,7 @@ def _warp(job: Job, tell: Tell, place: PathLike | None) -> Warped:
         layers = replace(layers, arrays=tuple(arrays))
         picture = replace(picture, _header={**picture._header, "exr": layers})
         warn_of_exact(layers)
-    warn_of(found, sampling.tolerance, folds=folds_of(maps), field_name=only_name(maps))
+    warn_of_maps(found, sampling.tolerance, maps)
     tell("write", 2, 3)
     write(target, picture, quality=job.quality, lossless=job.lossless, compression=job.compression, force=job.force)
     return replace(

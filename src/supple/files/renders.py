@@ -13,10 +13,10 @@ import numpy as np
 import numpy.typing as npt
 
 from supple.arrays import warp_array
-from supple.engine.sampling import Sampling, warn_of
+from supple.engine.sampling import Sampling
 from supple.engine.work import Array, Tell
 from supple.errors import OutsideWarning, SuppleError, VolumeWarning, argument, shown, warn
-from supple.fields import folds_of, only_name
+from supple.fields import warn_of_maps
 from supple.files.grids import grid_on
 from supple.files.jobs import Job
 from supple.files.landmarks import convention_of, warn_of_frame
@@ -301,8 +301,7 @@ def scene_of(volume: Volume, job: Job, known: RenderOptions) -> Scene:
         mixed = "nearest" if labels else "linear"
         sampling = Sampling(filter=mixed, outside="constant", fill=fill)
         samples, certificate = warp_array(samples, deformation.space_on(grid, volume.grid), sampling)
-        maps = deformation.maps
-        warn_of(certificate, sampling.tolerance, folds=folds_of(maps), field_name=only_name(maps))
+        warn_of_maps(certificate, sampling.tolerance, deformation.maps)
         onto, own = grid or volume.grid, deformation.grid
         places = [deformation.forward(own.indices(volume.grid.positions(m.points))) for m in meshes]
         meshes = tuple(

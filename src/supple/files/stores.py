@@ -21,10 +21,10 @@ import numpy as np
 from supple._core import threads
 from supple.blocks import Block, Box, Warp, boxes_of, chunks_of
 from supple.deformation import Deformation
-from supple.engine.sampling import Certificate, Sampling, warn_of
+from supple.engine.sampling import Certificate, Sampling
 from supple.engine.work import Tell, work_of
 from supple.errors import SuppleError, VolumeWarning, argument, shown, warn
-from supple.fields import Field, Placed, folds_of, only_name
+from supple.fields import Field, Placed, warn_of_maps
 from supple.files.grids import grid_on
 from supple.files.jobs import Job, Warped
 from supple.files.options import Running, VolumeOptions
@@ -253,7 +253,7 @@ def _write_blocks(
     advance = advancing(tell, "warp", counts["blocks"])
     for blocks, certificate, last in planned(work.warp, chunks[carried:], runner, tell):
         if warn and last:  # before the last blocks are written, in case warnings are errors
-            warn_of(certificate, work.warp.sampling.tolerance, folds=folds_of(maps), field_name=only_name(maps))
+            warn_of_maps(certificate, work.warp.sampling.tolerance, maps)
         items = itertools.product(leads, blocks)
         while some := list(itertools.islice(items, _AT_ONCE)):
             for way, count in runner.each(_write_block, work, some, advance):
@@ -341,7 +341,7 @@ def plan_file(job: Job, tell: Tell = lambda step, done, total: None) -> Planned:
                 read += part * positions
                 own = math.prod(b - a for a, b in one.part) * item
                 most = max(most, (part + own + 2 * count) * math.prod(task[:carried]))
-    warn_of(certificate, warp.sampling.tolerance, folds=folds_of(job.maps), field_name=only_name(job.maps))
+    warn_of_maps(certificate, warp.sampling.tolerance, job.maps)
     levels = sum(math.prod(level.array.shape) / math.prod(image.shape) for level in image.levels)
     return Planned(
         shape, str(image.dtype), task, math.prod(map(len, sizes)), copied, read, copied_bytes, slots, most * slots,

@@ -21,7 +21,7 @@ from supple.engine.memory import beside
 from supple.engine.sampling import Certificate, warn_of
 from supple.engine.work import Space, Tell
 from supple.errors import SuppleError, shown
-from supple.fields import Placed, folds_of, only_name
+from supple.fields import Placed, folds_of, only_name, warn_of_maps
 from supple.files.tasks import Runner, advancing, check_seen
 from supple.media.files import PathLike, check_output, is_store
 from supple.media.stores.image import StoredImage
@@ -235,7 +235,7 @@ def write_field(work: Work, runner: Runner, tell: Tell, maps: Sequence[Placed]) 
             stored += new or there
             done += there
     pull, push = certificates
-    warn_of(pull, tolerance, folds=folds_of(maps), field_name=only_name(maps))
+    warn_of_maps(pull, tolerance, maps)
     solved = folds_of(replace(each, inverse=not each.inverse) for each in maps)
     solved = solved and f"{solved}, as it is solved for {shown(target.address)}"
     warn_of(push, tolerance, folds=solved, field_name=only_name(maps))

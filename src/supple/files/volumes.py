@@ -18,10 +18,10 @@ import numpy as np
 from supple.arrays import clamp_to, warp_array
 from supple.deformation import Deformation
 from supple.engine.memory import beside, machine_memory
-from supple.engine.sampling import Certificate, Sampling, warn_of
+from supple.engine.sampling import Certificate, Sampling
 from supple.engine.work import Array, Space, Tell, work_of
 from supple.errors import GapWarning, SuppleError, VolumeWarning, argument, shown, warn
-from supple.fields import folds_of, only_name
+from supple.fields import warn_of_maps
 from supple.files.grids import grid_on, reference_grid, warn_of_place
 from supple.files.jobs import Job, Warped
 from supple.files.options import GridOptions, PathLike, VolumeOptions
@@ -361,9 +361,7 @@ def _written(volume: Volume, like: Volume, job: Job, space: Space, sampling: Sam
     dtype = series.dtype.newbyteorder("=")
 
     def settle() -> None:  # before the target is renamed
-        warn_of(
-            certificate, sampling.tolerance, folds=folds_of(job.maps), field_name=only_name(job.maps), unit="voxels"
-        )
+        warn_of_maps(certificate, sampling.tolerance, job.maps, "voxels")
         tell("write", 0, 1)
 
     def slabs() -> Iterator[Array]:

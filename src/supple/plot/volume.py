@@ -11,8 +11,8 @@ import numpy.typing as npt
 
 from supple.arrays import warp_array
 from supple.deformation import Deformation
-from supple.engine.sampling import Sampling, warn_of
-from supple.fields import Field, folds_of, only_name
+from supple.engine.sampling import Sampling
+from supple.fields import Field, warn_of_maps
 from supple.plot import planes
 from supple.plot.frame import bar, check_plot, edges_of, save, sheet, title
 from supple.space.geometry import Floats, Grid
@@ -75,7 +75,7 @@ def draw_volume(
     part = seen.part
     mixed = "nearest" if labels else "linear"
     slab, certificate = warp_array(samples, deformation.space_on(part, own), Sampling(mixed))
-    warn_of(certificate, 0.01, folds=folds_of(maps), field_name=only_name(maps))
+    warn_of_maps(certificate, 0.01, maps)
     index = np.stack(np.meshgrid(*(np.arange(n) for n in part.sizes[::-1]), indexing="ij")[::-1], axis=-1)
     places = part.positions(index.reshape(-1, 3).astype(np.float64))
     points = deformation.inverse(deformation.grid.indices(places)).points
